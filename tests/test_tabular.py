@@ -7,7 +7,7 @@ import pyarrow
 import pytest
 
 from dynsr.data.columns import load_columns
-from dynsr.data.reading import read_trajectories, write_csv
+from dynsr.data.reading import read_trajectories, take_trajectories, write_csv
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import DynsrWarning, InputError
 
@@ -139,6 +139,32 @@ def test_list_of_sources(tmp_path):
     assert len(table.trajectories) == 2
     with pytest.raises(InputError, match="different columns"):
         read_trajectories([{"t": T, "x": T}, {"t": T, "x": T, "y": T**2}])
+
+
+def test_files_may_have_their_columns_in_any_order(tmp_path):
+    """Each file is read by its names; Trajectory values too."""
+    one = pandas.DataFrame({"t": T, "u": np.sign(T - 0.5), "x": T**2, "y": T**3})
+    for order in (["y", "x", "t", "u"], ["t", "x", "u", "y"]):
+        runs = read_trajectories([one, (one + 1)[order]], inputs=["u"]).trajectories
+        assert [run.names for run in runs] == [("x", "y", "u")] * 2
+        np.testing.assert_array_equal(runs[1].x, runs[0].x + 1)
+        np.testing.assert_array_equal(runs[1].inputs, runs[0].inputs + 1)
+    other = runs[0].of_states(["y", "x"])
+    assert [run.states for run in take_trajectories([runs[0], other])[0]] == [("x", "y")] * 2
+
+
+def test_what_is_constant_in_one_file_and_not_in_all_is_kept():
+    """A setting of each file is a parameter; an input or a state that rests in one is one there."""
+    one = {"t": T, "x": X[:, 0], "D": 0 * T + 0.05, "run": 0 * T + 1, "room": 0 * T + 20}
+    two = {**one, "x": X[:, 1], "D": 0 * T + 0.1, "run": 0 * T + 2}
+    table = read_trajectories([one, two])
+    assert table.description.parameters == ("D",) and list(table.left_out) == ["room"]
+    assert [run.inputs[0].tolist() for run in table.trajectories] == [[0.05], [0.1]]
+    steps = np.where(np.median(T) > T, 0.0, 2.0)
+    one |= {"pump": 0 * T, "z": T**2}
+    runs = read_trajectories([one, {**two, "pump": steps, "z": 0 * T}]).trajectories
+    assert [run.names for run in runs] == [("x", "z", "D", "pump")] * 2
+    assert np.all(runs[0].by_name["pump"] == 0) and np.all(runs[1].by_name["z"] == 0)
 
 
 def test_inputs_by_name_column_and_formula():

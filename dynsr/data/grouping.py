@@ -73,6 +73,22 @@ def is_label_name(name: str) -> bool:
     return is_run_name(name) or _SUBJECT.fullmatch(bare_name(name)) is not None
 
 
+def differ_as_parameter(name: str, values: Sequence[float]) -> bool:
+    """Whether numbers, one for each source, differ and are more than the names of these.
+
+    Parameters
+    ----------
+    name : the column.
+    values : its number in each source.
+
+    >>> differ_as_parameter("D", [0.05, 0.1]), differ_as_parameter("run", [1.0, 2.0])
+    (True, False)
+    """
+    own = np.array(values)
+    counts = np.array_equal(own, own[0] + np.arange(len(own))) and own[0] in (0, 1)
+    return len(set(values)) > 1 and not is_label_name(name) and not (counts and len(own) > 2)
+
+
 def is_text(values: np.ndarray) -> bool:
     """Whether all cells that are not empty are text and no numbers."""
     if values.dtype.kind != "O":

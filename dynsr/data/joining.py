@@ -51,10 +51,10 @@ class Source:
 def join_sources(sources: Sequence[Source]) -> tuple[list[Trajectory], str]:
     """Give the trajectories of several sources, and a sentence where they were joined.
 
-    Sources of the same states are runs, one after the other. Sources that share no state measured
-    the same experiments, and are joined on the time: what one of them did not measure at a time of
-    another is empty there. Which trajectories belong together their names say, or else their
-    order.
+    Sources of the same states, in any order, are runs, one after the other. Sources that share no
+    state measured the same experiments, and are joined on the time: what one of them did not
+    measure at a time of another is empty there. Which trajectories belong together their names say,
+    or else their order.
 
     Parameters
     ----------
@@ -69,10 +69,10 @@ def join_sources(sources: Sequence[Source]) -> tuple[list[Trajectory], str]:
     [[1.0, 5.0], [2.0, nan], [3.0, 6.0]]
     """
     kinds: dict[tuple[str, ...], list[Source]] = {}
-    for source in sources:
+    for source in _in_one_order(sources):
         kinds.setdefault(source.states, []).append(source)
-    every = [run for source in sources for run in source.runs]
     if len(kinds) == 1:
+        every = [run for own in kinds.values() for source in own for run in source.runs]
         _check_inputs(every)
         return every, ""
     groups = [_together(own) for own in kinds.values()]
@@ -82,6 +82,20 @@ def join_sources(sources: Sequence[Source]) -> tuple[list[Trajectory], str]:
     said = " and ".join(f"{group.label} ({', '.join(group.states)})" for group in groups)
     many = "one experiment" if len(found) == 1 else f"the same {len(found)} experiments"
     return found, f"{said} measured {many} and were joined on the time."
+
+
+def _in_one_order(sources: Sequence[Source]) -> list[Source]:
+    """Give the columns of each source in the order in which they are first met."""
+    met: dict[frozenset[str], tuple[str, ...]] = {}
+    return [replace(source, runs=[_ordered(run, met) for run in source.runs]) for source in sources]
+
+
+def _ordered(run: Trajectory, met: dict[frozenset[str], tuple[str, ...]]) -> Trajectory:
+    states, inputs = (met.setdefault(frozenset(n), n) for n in (run.states, run.input_names))
+    if (states, inputs) == (run.states, run.input_names):
+        return run
+    places = [run.input_names.index(name) for name in inputs]
+    return replace(run.of_states(states), inputs=run.inputs[:, places], input_names=inputs)
 
 
 def _together(sources: Sequence[Source]) -> Source:

@@ -21,14 +21,14 @@ import sympy
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_doses, split_volume
-from dynsr.data.grouping import find_restarts
+from dynsr.data.grouping import differ_as_parameter, find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.limits import limit_cells, read_limits
 from dynsr.data.names import clean_name, find_column
 from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
-from dynsr.data.roles import Roles
+from dynsr.data.roles import Roles, constants_left_out
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, decide_hold
@@ -282,7 +282,7 @@ def _read_list(
         raise InputError("no data was given; give at least one file, frame or array")
     _refuse_twice(sources)
     share = max(max_rows // len(sources), FEWEST_ROWS)
-    tables = []
+    tables, constants = [], []
     for source in sources:
         load = cache(partial(_load_quietly, source, decimal))
         own, known, errors = _those_of(source, load, states, inputs, noise)
@@ -301,6 +301,9 @@ def _read_list(
                 max_rows=share,
             )
         )
+        still = tables[-1].left_out
+        constants.append(constants_left_out(load(), still) if still else {})
+    tables = _with_constants(tables, constants)
     each = [len(table.trajectories) for table in tables]
     flat = _in_one_unit([run for table in tables for run in table.trajectories])
     ends = np.cumsum(each)
@@ -323,6 +326,47 @@ def _read_list(
     understood = join_descriptions([table.description for table in tables], runs, joined)
     told = _told(runs, "; ".join(dict.fromkeys(table.guess for table in tables)), understood)
     return replace(told, left_out=understood.left_out, notes=understood.notes)
+
+
+def _with_constants(tables: list[Table], constants: list[dict[str, float]]) -> list[Table]:
+    """Give each source back the constant columns that move, or have another value, in others.
+
+    Parameters
+    ----------
+    tables : what was read from each source.
+    constants : for each, its column that was left out since it has one value -> that value.
+    """
+    runs = [table.trajectories[0] for table in tables]
+    states = {name for run in runs for name in run.states}
+    inputs = {name for run in runs for name in run.input_names}
+    cleaned = [{clean_name(name): value for name, value in own.items()} for own in constants]
+    shared = set.intersection(*map(set, cleaned))
+    parameters = {
+        name for name in shared if differ_as_parameter(name, [own[name] for own in cleaned])
+    }
+    found = []
+    for table, own in zip(tables, constants, strict=True):
+        back = {n: v for n, v in own.items() if clean_name(n) in states | inputs | parameters}
+        still = {clean_name(name): value for name, value in back.items()}
+        kept = {name: why for name, why in table.left_out.items() if name not in back}
+        description = replace(
+            table.description,
+            left_out=kept,
+            renamed={**table.description.renamed, **{n: clean_name(n) for n in back}},
+            parameters=(*table.description.parameters, *(n for n in still if n in parameters)),
+        )
+        moved = [
+            run.with_states({n: v for n, v in still.items() if n in states}).with_inputs(
+                {n: v for n, v in still.items() if n not in states}
+            )
+            for run in table.trajectories
+        ]
+        found.append(
+            replace(table, trajectories=moved, description=description, left_out=kept)
+            if back
+            else table
+        )
+    return found
 
 
 def _load_quietly(source: Any, decimal: str | None) -> Columns:
@@ -761,7 +805,7 @@ def _read(
     if isinstance(data, Trajectory):
         return [data]
     if isinstance(data, (list, tuple)) and data and all(isinstance(d, Trajectory) for d in data):
-        if len({run.states for run in data}) == 1:
+        if len({run.names for run in data}) == 1:
             return list(data)
         sources = [Source(f"trajectory {i}", [run]) for i, run in enumerate(data, start=1)]
         return join_sources(sources)[0]

@@ -25,6 +25,8 @@ from dynsr.errors import DynsrWarning, InputError
 _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
 _MANY = 30
 
+_IN_EVERY_ROW = "in every row"
+
 
 @dataclass(frozen=True)
 class Roles:
@@ -326,8 +328,29 @@ class _Look:
             if values.dtype.kind == "f":
                 there = values[np.isfinite(values)]
                 if len(there) and there.min() == there.max():
-                    found[name] = f"is {there[0]:g} in every row"
+                    found[name] = f"is {there[0]:g} {_IN_EVERY_ROW}"
         return found
+
+
+def constants_left_out(columns: Columns, left_out: Mapping[str, str]) -> dict[str, float]:
+    """Give the columns that were left out since they have one value, with that value.
+
+    Parameters
+    ----------
+    columns : the columns of the source, before they had roles.
+    left_out : column that is not used -> the reason.
+
+    >>> columns = Columns(("t", "T"), (np.arange(3.0), np.full(3, 37.0)), "data.csv")
+    >>> constants_left_out(columns, {"T": "is 37 in every row"})
+    {'T': 37.0}
+    """
+    values = dict(zip(columns.names, columns.values, strict=True))
+    said = [name for name, why in left_out.items() if why.endswith(_IN_EVERY_ROW)]
+    return {
+        name: float(values[name][0])
+        for name in said
+        if name in values and np.all(values[name] == values[name][0])
+    }
 
 
 def _guess_inputs(

@@ -277,6 +277,23 @@ class Trajectory:
         inputs = np.column_stack([self.inputs, constant])
         return replace(self, inputs=inputs, input_names=(*self.input_names, *values))
 
+    def with_states(self, values: Mapping[str, float]) -> Trajectory:
+        """Give the same run with more states, which are constant along it.
+
+        Parameters
+        ----------
+        values : state -> its value.
+
+        >>> run = Trajectory([0.0, 1.0], [[1.0], [2.0]], ("x",)).with_states({"y": 0.0})
+        >>> run.x.tolist(), run.states
+        ([[1.0, 0.0], [2.0, 0.0]], ('x', 'y'))
+        """
+        constant = np.tile(list(values.values()), (len(self), 1))
+        x = np.column_stack([self.observed, constant])
+        return replace(
+            self, x=x, states=(*self.states, *values), unmeasured=np.empty((0, 0), dtype=bool)
+        )
+
     def own_rows(self, state: str) -> np.ndarray:
         """Give the rows at which a state was measured.
 
