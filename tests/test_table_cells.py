@@ -321,6 +321,16 @@ def test_a_decimal_comma_of_one_column_is_that_of_quoted_cells_too():
     np.testing.assert_allclose(read_columns([cells], delimiter=",")[0].values, [41000, 37193])
 
 
+def test_a_number_in_brackets_is_an_error_where_it_has_decimals(tmp_path):
+    """1.2 (0.1) has its error; 1.2 (3) may be a count, and is never a number with the unit 3."""
+    rows = {"y": [f"{2.0**-k:.3f}" for k in range(12)]}
+    columns = load_columns(table(tmp_path, ";", **rows, x=[f"{k}.5 (0.2)" for k in range(12)]))
+    x, errors = (columns.values[columns.names.index(name)] for name in ("x", "x_sd"))
+    assert x.tolist() == [k + 0.5 for k in range(12)] and set(errors) == {0.2}
+    odd = read_trajectories(table(tmp_path, ";", **rows, x=[f"{k}.5 (3)" for k in range(12)]))
+    assert odd.trajectories[0].states == ("y",) and odd.left_out == {"x": "holds text"}
+
+
 @pytest.mark.parametrize("sign", [" ± ", "±", " +/- "])
 def test_an_error_behind_a_value_gets_a_column_of_its_own(tmp_path, sign):
     """A cell 1.2 ± 0.1 is 1.2, with 0.1 in a column beside it; a lone sign in text does nothing."""

@@ -464,7 +464,9 @@ def test_a_single_time_that_repeats_before_a_gap_is_wrong():
         read_trajectories({"t": t, "x": DECAY})
 
 
-@pytest.mark.parametrize("form", ["{}_sd", "{}_se", "{}_std", "{} sem", "sd_{}", "SD {}", "± {}"])
+@pytest.mark.parametrize(
+    "form", ["{}_sd", "{}_se", "{}_std", "{} sem", "sd_{}", "SD {}", "± {}", "{} (SD)"]
+)
 def test_columns_of_errors_are_the_noise_of_their_column(form):
     """They are left out, and the roles say whose errors they are."""
     columns = {"time": T, "glc": DECAY, form.format("glc"): DECAY / 50, "bm_mean": RISE}

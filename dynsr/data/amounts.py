@@ -183,8 +183,8 @@ def parse_number(cell: str) -> Amount | None:
     if not any(readings.values()):
         return None
     unit = (found["unit"] or "").strip().strip("[]()").strip()
-    if _CALENDAR.fullmatch(unit[:3].strip()):
-        return None
+    if _CALENDAR.fullmatch(unit[:3].strip()) or unit[:1].isdigit():
+        return None  # a time, or two numbers
     apart = bool(found["gap"]) or (found["unit"] or "")[:1] in "[("
     if unit and not apart and not is_unit(unit):
         return None

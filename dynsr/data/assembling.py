@@ -19,9 +19,10 @@ from dynsr.errors import InputError, one_line, printable
 
 # What a file may hold, unpacked. Larger ones would be thinned to MAX_ROWS anyway.
 MAX_BYTES = 1 << 30
-# A value with its error, such as "1.2 ± 0.1".
+# A value with its error, such as "1.2 ± 0.1" and "1.2 (0.1)"; whole numbers in brackets may count.
 _WITH_ERROR = re.compile(
     r"(?P<value>[^\u00b1]*\d[^\u00b1]*?)\s*(?:\u00b1|\+/-|\+-)\s*(?P<error>[^\u00b1]*\d[^\u00b1]*)"
+    r"|(?P<mean>[-+\d.,eE]*\d)\s*\(\s*(?P<own>\d*[.,]\d+)\s*\)"
 )
 # Array of names in an archive -> the matrix whose columns they name.
 LABELS = {"states": "x", "input_names": "inputs", "columns": "data"}
@@ -197,7 +198,7 @@ def assemble(
 def _apart(
     names: Sequence[str], columns: Sequence[np.ndarray], units: Sequence[str]
 ) -> tuple[list[str], list[np.ndarray], list[str]]:
-    """Give the errors of cells such as "1.2 ± 0.1" a column of their own, called so."""
+    """Give the errors of cells such as "1.2 ± 0.1" and "1.2 (0.1)" a column of their own."""
     found: list[tuple[str, np.ndarray, str]] = []
     for j, (name, column) in enumerate(zip(names, columns, strict=True)):
         unit = units[j] if j < len(units) else ""
@@ -207,7 +208,8 @@ def _apart(
             found.append((name, column, unit))
             continue
         both = [
-            (p["value"], p["error"]) if p else (c, None) for p, c in zip(pairs, cells, strict=True)
+            (p["value"] or p["mean"], p["error"] or p["own"]) if p else (c, None)
+            for p, c in zip(pairs, cells, strict=True)
         ]
         values, errors = (np.array(part, dtype=object) for part in zip(*both, strict=True))
         found += [(name, values, unit), (f"{bare_name(name)}_sd", errors, unit)]

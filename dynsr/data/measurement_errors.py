@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from dynsr.data.name_parts import bare_name
+from dynsr.data.name_parts import bare_name, bracketed_unit
 
 _ERROR = (
     r"s\.?d\.?|se|sem|std(?:[ _.]?(?:dev|err|error))?|stdev|stderr|err(?:or)?|sigma|uncertainty|unc"
@@ -23,13 +23,13 @@ def find_measured(name: str, others: Sequence[str]) -> str | None:
 
     Parameters
     ----------
-    name : that of the column, such as x_sd, "sd x" or sd alone.
+    name : that of the column, such as x_sd, "sd x", "x (SD)" or sd alone.
     others : the columns that it may belong to.
 
     >>> find_measured("glc_sd", ["bm_mean", "glc_mean"]), find_measured("err", ["x", "y"])
     ('glc_mean', None)
     """
-    own = bare_name(name)
+    own = _own_name(name)
     if _ERROR_ALONE.fullmatch(own):
         alone = [n for n in others if not is_error_name(n)]
         return alone[0] if len(alone) == 1 else None
@@ -46,8 +46,14 @@ def is_error_name(name: str) -> bool:
     >>> is_error_name("glc_sd"), is_error_name("std dev"), is_error_name("used")
     (True, True, False)
     """
-    own = bare_name(name)
+    own = _own_name(name)
     return any(p.fullmatch(own) for p in (_ERROR_ALONE, _ERROR_BEHIND, _ERROR_BEFORE))
+
+
+def _own_name(name: str) -> str:
+    """Give a name without its unit; what brackets say of an error is no unit."""
+    said = bracketed_unit(name)
+    return f"{bare_name(name)} {said}" if _ERROR_ALONE.fullmatch(said) else bare_name(name)
 
 
 def _stem(name: str) -> str:
