@@ -11,7 +11,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr import InputError, Trajectory, discover
-from dynsr.data import MeasuredSum, carry, read_sums
+from dynsr.data import MeasuredSum, carry, column_units, read_sums, take_trajectories
 from dynsr.fit import Measurements, fit_along
 from tests.command_line import run
 
@@ -44,6 +44,16 @@ def as_run(noise: float, seed: int = 0, every: int = 1) -> Trajectory:
     columns = np.column_stack([table["S"], table["total"]])
     (read,) = read_sums([Trajectory(T, columns, ("S", "total"))], {"total": "S + I"})
     return read
+
+
+def test_a_state_has_the_unit_of_its_sum():
+    """Units of the columns are those of the states in their place, unless a factor is between."""
+    table = epidemic(0.0)
+    frame = {"t [d]": T, "S [g]": table["S"], "total [g]": table["total"], "F [N]": T**2}
+    runs, _ = take_trajectories(frame, inputs=["F"])
+    for text, more in (("S + I", {"I": "g"}), ("S + 1000*I", {})):
+        (read,) = read_sums(runs, {"total": text})
+        assert column_units(read, "columns") == {"t": "days", "S": "g", "F": "N", **more}
 
 
 def test_a_state_takes_the_place_of_its_sum():

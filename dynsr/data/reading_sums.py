@@ -130,5 +130,18 @@ def _seen(
         parts = {n: float(f) for n, f in zip(states, others[place], strict=True) if f}
         values = run.observed[:, place] / scales[place]
         sums[state] = MeasuredSum(values, parts, known)
+    units: Mapping[str, str] = run.origin.get("units", {})
+    if units:
+        # A state has the unit of its sum, unless it counts there by a factor.
+        same = [s == c or f == 1 for s, c, f in zip(states, run.states, scales, strict=True)]
+        units = {
+            **{name: unit for name, unit in units.items() if name not in run.states},
+            **{
+                state: units[column]
+                for state, column, kept in zip(states, run.states, same, strict=True)
+                if kept and column in units
+            },
+        }
+        run = replace(run, origin={**run.origin, "units": units})
     gaps = run.unmeasured
     return replace(run, x=x, states=states, unmeasured=gaps, noise=noise, sums=sums, limits=limits)
