@@ -254,9 +254,13 @@ def test_empty_cells_are_left_out():
 def test_what_does_not_go_together_is_refused():
     """One line names what to leave out."""
     run = relaxing(rows=101)
-    for more in ({"delays": True}, {"order": 2}, {"known": {"x": "-x"}}, {"noise": {"x": 0.1}}):
+    for more in ({"delays": True}, {"order": 2}, {"known": {"x": "-x"}}):
         with pytest.raises(InputError, match=f"{next(iter(more))} does not go with stochastic"):
             dynsr.discover(run, stochastic=True, **more)
+    columns = {"t": run.t, "x": run.x[:, 0], "x_sd": np.full(len(run), 0.1)}
+    for source, more in ((run, {"noise": {"x": 0.1}}), (columns, {})):
+        with pytest.raises(InputError, match=r"^the known measurement errors of x do not .*states"):
+            dynsr.discover(source, stochastic=True, **more)
     with pytest.raises(InputError, match="have no noise in the motion"):
         Discovery({"x": -X}, {"x": ()}, {}, {}).simulate_paths()
 

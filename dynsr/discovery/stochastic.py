@@ -108,9 +108,13 @@ def check_stochastic(
         return False
     given = {**settings, **others}
     odd = [n for n in (*_REFUSED, *others) if is_given(n, given.get(n))]
-    odd += ["noise"] * any(run.noise for run in runs)
     if odd:
         raise InputError(f"{odd[0]} does not go with stochastic; leave one of the two out")
+    if known := [state for run in runs for state in run.noise]:
+        raise InputError(
+            f"the known measurement errors of {known[0]} do not go with stochastic, which fits "
+            f"them; leave noise out, and columns of errors by naming the states (--states)"
+        )
     choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
     refuse_idle(settings.get("engine", DEFAULT_ENGINE), "each step of the rows is fitted by itself")
     return True
