@@ -3,9 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+import sympy
 
 import dynsr
-from dynsr.data import Trajectory, read_trajectories, take_trajectories
+from dynsr.data import Trajectory, in_formulas, read_trajectories, take_trajectories
 from dynsr.data.times import count_times, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.methods import RationalSearch
@@ -239,6 +240,47 @@ def test_discover_takes_the_roles_of_columns():
     table = read_trajectories(rows)
     assert str(dynsr.discover(table, **QUICK)) == str(found)
     assert str(found).endswith("\na' = -a")
+
+
+@pytest.mark.filterwarnings("ignore:columns were renamed")
+def test_every_option_takes_the_names_of_the_table():
+    """A column is called as in the table, with its unit or without, or as in formulas."""
+    t = np.linspace(0, 6, 41)
+    table = {"t": t, "heat flow [W]": np.sin(t), "Bath temp. [K]": 300 + np.exp(-t)}
+    table["Room (K)"] = 290 + np.exp(-t / 2)
+    for inputs, state in (
+        (["heat flow [W]"], "Bath temp. [K]"),
+        (["heat flow"], "Bath temp."),
+        (["heat_flow"], "Bath_temp"),
+    ):
+        runs, _ = take_trajectories(
+            table, inputs, hold={inputs[0]: "linear"}, noise={state: 0.1}, limits={state: 200}
+        )
+        (run,) = runs
+        assert run.names == ("Bath_temp", "Room", "heat_flow") and list(run.noise) == ["Bath_temp"]
+        assert run.hold == {"heat_flow": "linear"}
+        asked = in_formulas({state: 1, "all": 2}, run), in_formulas([state, "x"], run)
+        assert asked == ({"Bath_temp": 1, "all": 2}, ["Bath_temp", "x"])
+
+
+@pytest.mark.filterwarnings("ignore:columns were renamed")
+def test_a_search_takes_the_names_of_the_table():
+    """Targets, known parts, signs, slopes and sums name columns as the table does."""
+    t = np.linspace(0, 6, 41)
+    table = {"t": t, "a cell": np.exp(-t), "all cells": 3 * np.exp(-t / 2), "pump (V)": 0 * t + 1}
+    found = dynsr.discover(
+        {**table, "pump (V)": np.sin(t)},
+        inputs=["pump (V)"],
+        targets=["a cell"],
+        known={"a cell": "-a_cell/2"},
+        must={"a cell": "a_cell"},
+        nonnegative=["a cell"],
+        slopes={"a cell": -np.exp(-t)},
+        order={"a cell": 1},
+        observed={"all cells": "a_cell + b"},
+        **QUICK,
+    )
+    assert sympy.simplify(found.equations["a_cell"] + sympy.Symbol("a_cell")) == 0
 
 
 def test_an_input_may_be_a_function_or_values():

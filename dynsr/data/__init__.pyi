@@ -24,6 +24,7 @@ from .observation import at_own_rows, carry, told_rows, within_limits
 from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
 from .reading import (
     column_units,
+    in_formulas,
     in_unit,
     read_trajectories,
     sample_input,
@@ -127,6 +128,7 @@ __all__ = [
     "find_steps",
     "find_system",
     "find_unseen_steps",
+    "in_formulas",
     "in_unit",
     "is_own_page",
     "is_part",

@@ -27,7 +27,7 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def find_column(name: str, columns: Columns, role: str) -> str:
-    """Find a column by its name in the source or by the name it gets in formulas.
+    """Find a column by its name in the source, without its unit too, or by its name in formulas.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ def find_column(name: str, columns: Columns, role: str) -> str:
     for original in columns.names:
         if clean_name(original) == name or unicodedata.normalize("NFKC", original) == alike:
             return original
+    if len(bare := [own for own in columns.names if bare_name(own) == name]) == 1:
+        return bare[0]
     raise InputError(
         f"no column {name!r} for the {role} in {columns.label}; "
         f"its columns are: {list_names(columns.names)}"

@@ -507,7 +507,8 @@ def say_limits(
 
     Raises InputError when something is no state, or no limit.
     """
-    said = {renamed.get(state, state): own for state, own in read_limits(limits).items()}
+    named = read_limits(limits).items()
+    said = {renamed.get(state, clean_name(state)): own for state, own in named}
     for state in said:
         if state not in runs[0].states:
             raise InputError(
@@ -757,13 +758,15 @@ def take_trajectories(
         )
     else:
         runs = _read(data, columns, errors, given or None, limits)
-    runs = [_as_inputs(run, columns or []) for run in runs]
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
+    first = runs[0]
+    runs = [_as_inputs(run, in_formulas(columns or [], first)) for run in runs]
     if any(run.names != runs[0].names for run in runs):
         raise InputError("the trajectories have different columns; give all the same columns")
-    runs = say_limits(runs, {clean_name(n): own for n, own in (limits or {}).items()}, {})
-    runs = cut_at_doses(say_noise(runs, noise, {}), clean_doses(given or None) or None)
+    runs = say_limits(runs, in_formulas(limits or {}, first), {})
+    runs = say_noise(runs, in_formulas(noise, first), {})
+    runs = cut_at_doses(runs, clean_doses(given or None) or None)
     short = min(runs, key=len)
     if len(short) < FEWEST_ROWS:
         raise InputError(
@@ -779,7 +782,9 @@ def take_trajectories(
             f"input {known[0]!r} is an expression in t, which says what it is between rows; "
             "leave it out of hold"
         )
-    return decide_hold([_with_drives(run, drives) for run in runs], hold), drives
+    return decide_hold(
+        [_with_drives(run, drives) for run in runs], in_formulas(hold, first)
+    ), drives
 
 
 def _sort_inputs(
@@ -881,6 +886,32 @@ def _from_arrays(t: Any, x: Any) -> Trajectory:
     names = names_of_states(table.shape[1] - 1)
     origin = {"time_unit": unit} if unit else {}
     return Trajectory(table[:, 0], table[:, 1:], names, origin=origin)
+
+
+def in_formulas(asked: Any, run: Trajectory) -> Any:
+    """Give what a caller says of columns with the names that these have in formulas.
+
+    Parameters
+    ----------
+    asked : the name of a column, a list of them, or a mapping from them; all else stays as it is.
+    run : one of the trajectories.
+
+    >>> t = np.arange(9.0)
+    >>> (run,) = read_trajectories({"t": t, "x (m)": t**2}).trajectories
+    >>> in_formulas({"x (m)": "-x"}, run), in_formulas(["x", "all"], run), in_formulas(True, run)
+    ({'x': '-x'}, ['x', 'all'], True)
+    """
+    renamed: Mapping[str, str] = run.origin.get("table", {}).get("renamed", {})
+
+    def own(name: Any) -> Any:
+        if not isinstance(name, str) or name in run.names:
+            return name
+        new = renamed.get(name) or clean_name(name)
+        return new if new in run.names else name
+
+    if isinstance(asked, Mapping):
+        return {own(name): value for name, value in asked.items()}
+    return [own(name) for name in asked] if isinstance(asked, (list, tuple)) else own(asked)
 
 
 def _as_inputs(run: Trajectory, columns: Sequence[str]) -> Trajectory:

@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 from threadpoolctl import threadpool_limits
 
-from dynsr.data import Trajectory, read_sums, take_trajectories
+from dynsr.data import Trajectory, in_formulas, read_sums, take_trajectories
 from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.asked import check_asked
 from dynsr.discovery.confirmation import confirm
@@ -51,6 +51,10 @@ _APART = 1e-9
 _LONG = 1e12
 # What settings say of the columns of the data.
 _COLUMNS = ("time", "states", "trajectory", "quantity", "decimal", "doses", "noise", "limits")
+_NAMING = (
+    "targets", "hold", "known", "slopes", "order", "must", "constraints", "nonnegative", "units",
+    "vary", "observed",
+)  # fmt: skip
 Search = TypeVar("Search", bound=Callable[..., Discovery])
 
 
@@ -245,9 +249,7 @@ def in_fitting_units(search: Search) -> Search:
     def scaled(data: Any, **settings: Any) -> Discovery:
         # What cannot integrate is refused before the data are read.
         start_engine(settings.get("engine", DEFAULT_ENGINE))
-        asked = {name: settings.pop(name, None) for name in _COLUMNS}
-        asked["hold"] = settings.get("hold")
-        runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
+        runs = _take(data, settings)
         runs = read_sums(runs, observed := settings.pop("observed", None))
         seed, discrete = settings.get("seed", 0), bool(settings.get("discrete"))
         members = check_ensemble(settings.pop("ensemble", False), runs, discrete)
@@ -318,6 +320,15 @@ def in_fitting_units(search: Search) -> Search:
             return _keep_fitted(stepped.say(whole), settings.get("out"))
 
     return cast("Search", scaled)
+
+
+def _take(data: Any, settings: dict[str, Any]) -> list[Trajectory]:
+    """Read the data; the settings lose what is said of their columns, and name them as formulas."""
+    asked = {name: settings.pop(name, None) for name in _COLUMNS}
+    asked["hold"] = settings.get("hold")
+    runs, settings["inputs"] = take_trajectories(data, settings.get("inputs"), **asked)
+    settings |= {n: in_formulas(settings[n], runs[0]) for n in _NAMING if n in settings}
+    return runs
 
 
 @dataclass(frozen=True)
