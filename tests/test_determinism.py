@@ -187,6 +187,15 @@ def test_layers_too_fast_for_the_rows_are_stiff():
     assert kinds(t, x, "a") == kinds(t, x, "b") == ["stiff"]
 
 
+def test_a_system_that_was_started_again_is_said_where():
+    """The place of the largest jump and what to do about a restart are named."""
+    t = np.arange(0, 10, 0.25)
+    grown = [5 / (1 + (5 / start - 1) * np.exp(-0.6 * t)) for start in (0.2, 0.5)]
+    run = Trajectory(np.append(t, t + 10), np.concatenate(grown)[:, None], ("N",))
+    (cause,) = diagnose(run, "N")
+    assert "from t = 9.75 to 10." in cause.sentence and "(--trajectory)" in cause.sentence
+
+
 def test_few_rows_an_oscillation_are_too_coarse():
     """The pendulum with 7 rows a swing, all states there: neither map nor noise."""
     t, x = WHOLE["pendulum"]()

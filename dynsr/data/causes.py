@@ -179,11 +179,13 @@ def _of_shape(
     variance = float(np.var(np.concatenate(columns)))
     fast = _share_of_rows(change, settings.stiff_part)
     if fast <= settings.stiff and len(change) * settings.stiff >= 1:
+        most = _largest_jump(runs, columns)
         yield Cause(
             "stiff",
             f"{target} changes almost only in fast layers: {100 * fast:.2g} % of the rows hold "
-            f"{100 * settings.stiff_part:.0f} % of its change. Measure the layers with more rows, "
-            "at least 5 each; uneven times are fine.",
+            f"{100 * settings.stiff_part:.0f} % of its change, most of all from {most}. Measure "
+            "the layers with more rows, at least 5 each; uneven times are fine. If the system was "
+            "started again or changed there, name the parts in a column (--trajectory).",
             {"share of rows": fast},
         )
         return
@@ -256,6 +258,14 @@ def _jumps(runs: Sequence[Trajectory], settings: DiagnosisSettings) -> bool:
     variance = np.var(np.concatenate([run.x for run in runs]), axis=0)
     even = bool(np.ptp(steps) <= 1e-3 * np.median(steps))
     return even and bool(np.all(change >= 2 * settings.jumping * variance))
+
+
+def _largest_jump(runs: Sequence[Trajectory], columns: Sequence[np.ndarray]) -> str:
+    """Say between which times a column changes most."""
+    number = int(np.argmax([np.max(np.abs(np.diff(x))) for x in columns]))
+    row = int(np.argmax(np.abs(np.diff(columns[number]))))
+    begin, end = runs[number].t[row : row + 2]
+    return f"t = {begin:.4g} to {end:.4g}"
 
 
 def _share_of_rows(change: np.ndarray, part: float) -> float:
