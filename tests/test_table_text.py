@@ -377,3 +377,11 @@ def test_hours_and_minutes_with_an_h_are_a_clock(tmp_path):
     path.write_text("\n".join(["Date;Heure;Debit", *rows]))
     (run,) = read_trajectories(path).trajectories
     assert run.time_unit == "min" and run.t.tolist() == [10.0 * k for k in range(12)]
+
+
+def test_a_stopwatch_may_run_for_more_than_99_hours(tmp_path):
+    """Rows of 100:00:00 and more are rows, not remarks below the table."""
+    rows = [f"{k * 5}:00:00,{2.0**-k:.6f}" for k in range(30)]
+    (tmp_path / "long.csv").write_text("\n".join(["elapsed,x", *rows]))
+    (run,) = read_trajectories(tmp_path / "long.csv").trajectories
+    assert np.array_equal(run.t, 5 * np.arange(30)) and run.time_unit == "h"

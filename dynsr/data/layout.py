@@ -16,7 +16,7 @@ from dynsr.data.amounts import is_missing, is_unit, parse_number
 _MONTH = r"(jan|feb|mar|m\u00e4r|apr|may|mai|jun|jul|aug|sep|oct|okt|nov|dec|dez)[a-z]*\.?"
 _DATE = re.compile(
     rf"\d{{1,4}}[-/.]\d{{1,2}}[-/.]\d{{1,4}}([ T,].*)?|\d{{1,4}}\.?[-/ ]{_MONTH}[-/ ,]+\d.*|"
-    rf"{_MONTH} \d{{1,2}},? \d.*|\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d*)?)?(\s?[ap]\.?m\.?)?|"
+    rf"{_MONTH} \d{{1,2}},? \d.*|\d{{1,4}}:\d{{2}}(:\d{{2}}([.,]\d*)?)?(\s?[ap]\.?m\.?)?|"
     r"-?\d+ days?.*",
     re.IGNORECASE,
 )
