@@ -211,6 +211,31 @@ def test_row_numbers_are_left_out_under_any_name(name):
     assert len(table.trajectories) == 2 and name in table.left_out
 
 
+@pytest.mark.parametrize("name", ["no", "Sample", "id"])
+def test_row_numbers_may_fall_repeat_and_lack_some(name):
+    """A table sorted backwards, with a row twice or some deleted; a number of runs is none."""
+    table = pd.DataFrame({name: np.arange(N) + 1.0, "time": T, "x": DECAY})
+    twice = pd.concat([table, table.iloc[[7]]]).sort_values("time")
+    for own in (twice, twice[::-1], table.drop(index=[4, 11]), table.drop(index=4)[::-1]):
+        read = read_trajectories(own)
+        assert read.trajectories[0].states == ("x",)
+        assert read.left_out == {name: "numbers the rows"}
+    runs = pd.concat([table.assign(**{name: float(i)}) for i in (1, 2, 3)])
+    assert len(read_trajectories(runs).trajectories) == 3
+
+
+@pytest.mark.parametrize("rows", [[4], [4, 9], range(10, N), range(N)])
+def test_rows_that_are_written_again_further_down_are_one(rows):
+    """Copies of rows, of a part that a logger gave twice or of the whole table, are left out."""
+    table = pd.DataFrame({"time": T, "x": DECAY, "y": RISE})
+    again = read_trajectories(pd.concat([table, table.iloc[list(rows)]]))
+    (run,) = again.trajectories
+    np.testing.assert_array_equal(run.t, T)
+    assert any("of the same time" in note and "left out" in note for note in again.notes)
+    other = pd.concat([table, table.assign(x=np.where(T > 0, DECAY + T, DECAY))])
+    assert [len(run) for run in read_trajectories(other).trajectories] == [N, N]
+
+
 def test_a_count_is_no_row_number():
     """What rises by one here and not there is a state."""
     count = np.cumsum(np.random.default_rng(2).integers(0, 3, N)).astype(float)

@@ -10,7 +10,7 @@ from dynsr.data.name_parts import bare_name
 
 _ROWS = re.compile(
     r"|#|n[ro]\.?|n°|№|num(ber)?|rownames?|(row|record|obs(ervation)?|sample|meas(urement)?|line|point|"
-    r"reading|scan|messung|lfd\.?)[\s_.]*(n[ro]\.?|num(ber)?|id|index|#)|index|idx|obs|"
+    r"reading|scan|messung|lfd\.?)[\s_.]*(n[ro]\.?|num(ber)?|id|index|#)|index|idx|obs|sample|id|"
     r"unnamed: \d+",
     re.IGNORECASE,
 )
@@ -124,7 +124,9 @@ def numbers_rows(name: str, values: np.ndarray, codes: np.ndarray) -> bool:
     steps = np.diff(values)
     if np.all(steps == 1):
         return True
-    if _ROWS.fullmatch(bare_name(name)) and np.all(steps > 0):
+    moved = steps[steps != 0]  # a row that is written twice has one number
+    one_way = len(moved) > len(steps) / 2 and (np.all(moved > 0) or np.all(moved < 0))
+    if one_way and _ROWS.fullmatch(bare_name(name)):
         return True
     order = np.argsort(codes, kind="stable")
     inside = np.diff(values[order])[np.diff(codes[order]) == 0]

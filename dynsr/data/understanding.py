@@ -109,6 +109,8 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     notes += times.notes
     columns, times, said = _with_times(columns, times)
     notes += said
+    columns, times, said = _without_copies(columns, times)
+    notes += said
     source = columns.names
     columns, times, said = _below_each_other(columns, times, asked)
     notes += said
@@ -213,6 +215,29 @@ def _with_times(columns: Columns, times: Times) -> tuple[Columns, Times, list[st
     rows = f"row {first} was" if empty == 1 else f"{empty} rows (the first is row {first}) were"
     said = f"{rows[0].upper()}{rows[1:]} left out: {times.name!r} is empty there."
     return _at(columns, there), times.at(there), [said]
+
+
+def _without_copies(columns: Columns, times: Times) -> tuple[Columns, Times, list[str]]:
+    """Leave rows that are written twice out, where all others are in order of time.
+
+    So are those of a logger that was read twice. Where runs have rows in common, such as the same
+    start, the times of the others still begin again.
+    """
+    steps = np.diff(times.values)
+    if times.daily or not np.any(steps < 0) or not np.any(steps > 0):
+        return columns, times, []
+    _, first, place = np.unique(times.values, return_index=True, return_inverse=True)
+    if np.any(np.diff(first) < 0) or not all(_alike(v, v[first][place]) for v in columns.values):
+        return columns, times, []
+    columns, times, count = _at(columns, first), times.at(first), len(steps) + 1 - len(first)
+    rows = f"{count} {'row is a copy' if count == 1 else 'rows are copies'}"
+    said = f"{rows} of the row of the same time and {'was' if count == 1 else 'were'} left out."
+    return columns, times, [said]
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether all cells are the same; empty ones are."""
+    return bool(np.all((one == other) | ((one != one) & (other != other))))  # noqa: PLR0124
 
 
 def _named(names: Sequence[str] | None, columns: Columns) -> set[str]:
