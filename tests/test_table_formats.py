@@ -253,6 +253,33 @@ def test_dates_of_a_dataset_are_times(tmp_path):
         assert run.time_unit == "days" and run.t.tolist() == list(range(16))
 
 
+def test_what_runs_along_the_runs_of_a_dataset_is_a_parameter():
+    """One value for each run is a column of that run; what has no such dimension is left out."""
+    both = np.column_stack([A, A**2]).T
+    runs = xr.Dataset({"x": (("run", "t"), both), "D": ("run", [0.1, 0.2]), "k": 3.0}, {"t": T})
+    table = read_trajectories(runs)
+    assert table.description.parameters == ("D",) and list(table.left_out) == ["k"]
+    assert [run.by_name["D"][0] for run in table.trajectories] == [0.1, 0.2]
+
+
+def test_a_text_alone_in_an_archive_is_read(tmp_path):
+    """Other archives are refused with what they hold; a damaged one is said to be so."""
+    rows = "t,a,b\n" + "\n".join(f"{t!r},{a!r},{b!r}" for t, a, b in TABLE[1:])
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("deep/a.csv", rows)
+        archive.writestr("__MACOSX/a.csv", "what a Mac adds")
+    check(load_columns(path))
+    assert read_names_only(path) == ("t", "a", "b")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("b.csv", rows)
+    with pytest.raises(InputError, match=r"holds 2 files \(deep/a.csv, b.csv\); unpack it"):
+        load_columns(path)
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(InputError, match=r"^'a.zip' is damaged or not a zip archive"):
+        load_columns(path)
+
+
 def test_a_dataset_without_rows_is_one_line():
     """A dimension of no length holds nothing."""
     with pytest.raises(InputError, match="has no rows"):

@@ -253,8 +253,8 @@ def from_xarray(source: Any, label: str) -> Columns:
     Parameters
     ----------
     source : its rows are the dimension that is called a time or holds dates, or the longest one.
-        Along a dimension that counts runs there is one trajectory a value; along others one column
-        a value.
+        Along a dimension that counts runs there is one trajectory a value, and what runs along it
+        alone has one value in each; along other dimensions there is one column a value.
     label : what messages call it.
 
     Raises InputError when no variable has rows.
@@ -268,11 +268,12 @@ def from_xarray(source: Any, label: str) -> Columns:
         raise InputError(f"{label} has no rows; it needs rows of times and states")
     along = {d for value in source.variables.values() if rows in value.dims for d in value.dims}
     over = [d for d in source.sizes if d in along - {rows} and _RUNS.fullmatch(str(d))]
-    left_out = {
-        str(name): f"does not run along {rows!r}"
-        for name, value in source.variables.items()
-        if rows not in value.dims and name not in source.sizes
-    }
+    others = [
+        n for n, v in source.variables.items() if rows not in v.dims and n not in source.sizes
+    ]
+    # What has one value for each run, such as what was set in it.
+    each = [n for n in others if source[n].dims and set(source[n].dims) <= set(over)]
+    left_out = {str(n): f"does not run along {rows!r}" for n in others if n not in each}
     blocks: list[dict[str, np.ndarray]] = []
     for chosen in np.ndindex(*(source.sizes[d] for d in over)):
         block = source.isel(dict(zip(over, chosen, strict=True)))
@@ -282,9 +283,10 @@ def from_xarray(source: Any, label: str) -> Columns:
         }
         columns = _block_columns(block, rows)
         count = source.sizes[rows]
+        named |= {str(name): block[name].item() for name in each}
         blocks.append({**{k: np.full(count, v) for k, v in named.items()}, **columns})
     names = list(blocks[0])
-    if len(names) <= len(over):
+    if len(names) <= len(over) + len(each):
         raise InputError(f"{label} has no variables along {rows!r}; it needs times and states")
     units = [str(source[n].attrs.get("units", "")) if n in source else "" for n in names]
     found = assemble(

@@ -9,6 +9,7 @@ import io
 import os
 import re
 import warnings
+import zipfile
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -40,7 +41,7 @@ _DIGIT = re.compile(r"[0-9]")
 _DELIMITERS = ("\t", ";", "|", ",", _SPACE)
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MAGIC = {
-    b"PK\x03\x04": "a zip or Excel file, not text; name it .xlsx or .npz if it is one",
+    b"PK\x03\x04": "a zip or Excel file, not text; name it .zip, .xlsx or .npz if it is one",
     b"\x89PNG": "a picture, not a table",
     b"%PDF": "a PDF, not a table",
     b"\x89HDF": "an HDF5 file, not text; name it .h5, .mat or .nc",
@@ -59,7 +60,8 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
 
     Parameters
     ----------
-    path : the file, packed with gzip where its name ends in .gz.
+    path : the file, packed with gzip where its name ends in .gz, alone in an archive where it
+        ends in .zip.
     decimal : the decimal mark, "." or ","; found by default.
 
     Raises InputError when no table can be recognised in it.
@@ -114,7 +116,31 @@ def _load_plain(path: Path) -> Columns | None:
 
 
 def _opener(path: Path) -> Any:
-    return gzip.open if path.suffix.lower() == ".gz" else open
+    return {".gz": gzip.open, ".zip": _open_member}.get(path.suffix.lower(), open)
+
+
+@contextmanager
+def _open_member(path: Path, mode: str, **options: Any) -> Iterator[Any]:
+    """Open the only file in a zip archive; raises InputError where it holds others."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            # What a Mac adds is no file of the user's.
+            members = [
+                member
+                for member in archive.infolist()
+                if not member.is_dir() and not member.filename.startswith("__MACOSX/")
+            ]
+            if len(members) != 1:
+                names = ", ".join(member.filename for member in members[:4])
+                raise InputError(
+                    f"{path.name!r} holds {len(members)} files ({names}); "
+                    "unpack it and give those to read"
+                )
+            check_size(path, members[0].file_size)
+            with archive.open(members[0]) as file:
+                yield io.TextIOWrapper(file, **options) if mode == "rt" else file
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise unreadable(path, "zip archive", error) from None
 
 
 def _read_head(path: Path) -> tuple[bytes, bool]:
