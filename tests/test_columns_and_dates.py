@@ -159,8 +159,34 @@ def test_the_index_of_a_frame_is_the_time(times):
     for named in (frame, frame.rename_axis(index="when")):
         (run,) = read_trajectories(named).trajectories
         assert run.states == ("x",) and run.t[-1] == pytest.approx(59 * run.t[1])
-    with pytest.raises(InputError, match="looks like the time"):
-        read_trajectories(pd.DataFrame({"x": DECAY}))
+        (other,) = read_trajectories(named["x"]).trajectories
+        assert other.states == ("x",) and np.array_equal(other.t, run.t)
+    for frame in (pd.DataFrame({"x": DECAY}), pd.Series(DECAY)):
+        with pytest.raises(InputError, match="looks like the time"):
+            read_trajectories(frame)
+
+
+def test_periods_are_times():
+    """Months of pandas, in a column or as the index."""
+    months = pd.period_range("2024-01", periods=60, freq="M")
+    for frame in (pd.DataFrame({"m": months, "x": DECAY}), pd.Series(DECAY, index=months)):
+        (run,) = read_trajectories(frame).trajectories
+        assert run.time_unit == "days" and run.t[:3].tolist() == [0, 31, 60]
+
+
+def test_frames_by_name_are_a_list():
+    """A mapping holds columns; runs are given as a list, which the message says."""
+    frame = pd.DataFrame({"t": T, "x": T**2})
+    with pytest.raises(InputError, match=r"'a' of the mapping is a data frame; give a list"):
+        read_trajectories({"a": frame, "b": frame})
+
+
+def test_ts_may_be_the_time():
+    """Milliseconds since 1970 under that name are times."""
+    table = read_trajectories({"ts": 1.77e12 + 500 * np.arange(60.0), "x": DECAY})
+    (run,) = table.trajectories
+    assert run.time_unit == "s" and run.t[-1] == 29.5
+    assert "'ts' holds milliseconds since 1970" in table.notes
 
 
 def test_dates_under_any_name_are_the_time():

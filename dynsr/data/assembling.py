@@ -310,6 +310,8 @@ def _take_apart(source: Any, label: str) -> tuple[list[str], list[np.ndarray]]:
             # Its columns may share a name or have one of several levels, unlike those of others.
             names = [_flat(name) for name in source.columns]
             parts = [source.iloc[:, j] for j in range(source.shape[1])]
+            periods = pandas.PeriodDtype
+            parts = [p.dt.to_timestamp() if isinstance(p.dtype, periods) else p for p in parts]
             found = [narwhals.from_native(part, series_only=True).to_numpy() for part in parts]
         else:
             frame = narwhals.from_native(source)
@@ -331,9 +333,14 @@ def _flat(name: Any) -> str:
 
 
 def _is_time_index(index: Any) -> bool:
-    """Whether the index of a frame of pandas holds dates, durations or rising fractions."""
-    kind = getattr(getattr(index, "dtype", None), "kind", "")
-    return kind in ("m", "M") or (kind == "f" and bool(index.is_monotonic_increasing))
+    """Whether an index of pandas holds dates, periods, durations or rising fractions."""
+    dtype = getattr(index, "dtype", None)
+    kind = getattr(dtype, "kind", "")
+    return (
+        kind in ("m", "M")
+        or str(dtype).startswith("period")
+        or (kind == "f" and bool(index.is_monotonic_increasing))
+    )
 
 
 def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = None) -> Columns:
@@ -345,6 +352,11 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
     for key, value in arrays.items():
         if key in labels or key in single:
             continue
+        if hasattr(value, "columns"):
+            raise InputError(
+                f"{key!r} of {label} is a data frame; give a list of frames, one for each run: "
+                "list(data.values())"
+            )
         try:
             array = np.asarray(without_mask(value))
         except ValueError:

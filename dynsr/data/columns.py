@@ -40,11 +40,11 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
 
     Files are recognised by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
     (``.mat``), HDF5 (``.h5``, ``.hdf5``), NetCDF (``.nc``), Parquet, JSON, Stata (``.dta``),
-    ``.npz``, ``.npy``; anything else is delimited text. ``book.xlsx:Sheet 2`` is one
-    sheet of a spreadsheet. Frames are those that narwhals knows, such as pandas, polars and
-    pyarrow, and those of xarray. An array has the time as its first column; a pair ``(t, x)`` is
-    taken apart. What cells say is read (:func:`dynsr.data.cells.read_columns`); columns without a
-    value are left out.
+    ``.npz``, ``.npy``; anything else is delimited text, which may be packed (``.gz``, ``.zip``).
+    ``book.xlsx:Sheet 2`` is one sheet of a spreadsheet. Frames are those that narwhals knows, such
+    as pandas, polars and pyarrow, and those of xarray; a series of pandas has its times as the
+    index. An array has the time as its first column; a pair ``(t, x)`` is taken apart. What cells
+    say is read (:func:`dynsr.data.cells.read_columns`); columns without a value are left out.
 
     Parameters
     ----------
@@ -82,6 +82,8 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
         return from_mat(source, "the mapping", decimal)
     if isinstance(source, Mapping):
         return load_mapping(source, "the mapping", decimal)
+    if _is_series(source):
+        return load_frame(source.to_frame(source.name or "x"), "the series", decimal)
     if _is_frame(source):
         return load_frame(source, "the data frame", decimal)
     if isinstance(source, tuple) and len(source) == 2:
@@ -118,6 +120,11 @@ def read_names_only(path: Path) -> tuple[str, ...]:
 def _is_xarray(source: Any) -> bool:
     xarray = sys.modules.get("xarray")
     return xarray is not None and isinstance(source, (xarray.Dataset, xarray.DataArray))
+
+
+def _is_series(source: Any) -> bool:
+    pandas = sys.modules.get("pandas")
+    return pandas is not None and isinstance(source, pandas.Series)
 
 
 def _is_frame(source: Any) -> bool:

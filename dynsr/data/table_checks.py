@@ -92,7 +92,7 @@ def check_infinite(values: np.ndarray, name: str, label: str) -> None:
     if bad.size:
         raise InputError(
             f"column {name!r} of {label} holds {values[bad[0]]} in row {bad[0] + 1}{_more(bad)}; "
-            "remove or repair such rows"
+            "leave such cells empty, or correct them"
         )
 
 

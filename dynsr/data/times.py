@@ -33,7 +33,7 @@ _DAY = 86400.0
 _NAMES = (
     r"(?:test|step|total|run|rel(?:\w*)|abs(?:\w*)|record|sampl(?:e|ing)|meas(?:urement)?|"
     r"sim(?:ulation)?|system)[\W_]?time|"
-    r"t|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|time.?points?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
+    r"t|ts|(?:unix|epoch|posix).?(?:time|timestamp|seconds)?|times?|timestamps?|time.?stamps?|time.?points?|date.{0,3}time|dates?|elapsed.*|secs?|seconds?|zeit|datum|"
     r"tid|tidspunkt|tidpunkt|dato|klokkesl[æe]t|klokkeslett|klockslag|kl\.?|aika|päivämäärä|kello|"
     r"uhrzeit|zeitpunkt|zeitstempel|tiempo|fecha|hora|temps|heure|tempo|ora|tijd|tijdstip|czas|"
     r"время|дата|时间|時間|日期|日時"
