@@ -170,7 +170,10 @@ def test_what_is_constant_in_one_file_and_not_in_all_is_kept():
 def test_inputs_by_name_column_and_formula():
     """Inputs are a guess from the name, named columns, or expressions in t."""
     columns = {"t": T, "x": X[:, 0], "F": X[:, 1]}
-    assert read_trajectories(columns).trajectories[0].input_names == ("F",)
+    table = read_trajectories(columns)
+    assert table.trajectories[0].input_names == ("F",)
+    said = "'F' is called as an input, so taken for one; --states says otherwise."
+    assert said in table.notes and said not in read_trajectories(columns, inputs=["F"]).notes
     (part,) = read_trajectories(columns, inputs=["F", "G=2*sin(t)"]).trajectories
     assert part.input_names == ("F", "G")
     assert np.allclose(part.inputs[:, 1], 2 * np.sin(T), rtol=1e-15)

@@ -142,6 +142,10 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
         keeps = keeps if len(roles.held) == 1 else "keep their values over rows and step"
         what = "an input" if len(roles.held) == 1 else "inputs"
         notes.append(f"{listed} {keeps}, so taken for {what}; --states says otherwise.")
+    guessed = asked.inputs is None and not columns.inputs
+    others = (*roles.held, *roles.amounts, *roles.parameters, *roles.doses.values())
+    for name in [n for n in roles.inputs if guessed and n not in others]:
+        notes.append(f"{name!r} is called as an input, so taken for one; --states says otherwise.")
     for name in roles.amounts:
         count = sum(int(np.sum(run.values[name] != 0)) for run in runs)
         state, own = roles.renamed[roles.states[0]], roles.renamed[name]
