@@ -331,6 +331,24 @@ def test_a_number_in_brackets_is_an_error_where_it_has_decimals(tmp_path):
     assert odd.trajectories[0].states == ("y",) and odd.left_out == {"x": "holds text"}
 
 
+@pytest.mark.parametrize("form", ['="{}"', "'{}"])
+def test_numbers_that_were_kept_as_text_are_numbers(tmp_path, form):
+    """Spreadsheets are made to do so by an equals sign with quotation marks, or an apostrophe."""
+    path = table(tmp_path, ";", x=[form.format(k * k / 4) for k in range(12)])
+    assert read_trajectories(path).trajectories[0].x[:, 0].tolist() == [
+        k * k / 4 for k in range(12)
+    ]
+
+
+def test_a_table_of_text_says_why_no_column_is_a_state(tmp_path):
+    """One cell of the text is shown."""
+    path = table(tmp_path, ";", x=[f"10^{k}" for k in range(12)])
+    with pytest.raises(
+        InputError, match=r"left for a state .*since 'x' holds text such as '10\^0'"
+    ):
+        read_trajectories(path)
+
+
 @pytest.mark.parametrize("sign", [" ± ", "±", " +/- "])
 def test_an_error_behind_a_value_gets_a_column_of_its_own(tmp_path, sign):
     """A cell 1.2 ± 0.1 is 1.2, with 0.1 in a column beside it; a lone sign in text does nothing."""

@@ -61,6 +61,8 @@ _UNIT = re.compile(
 )
 _LONGEST_UNIT = 24
 _MARKED = re.compile(r"\s*[~\u2248]?\s*(?P<number>\S*\d)\s*[*\u2020\u2021\u00a7]{0,3}\s*")
+# A number that a spreadsheet was made to keep as text: ="0.50", '0.50.
+_AS_TEXT = re.compile(r"^=\"(.*)\"$|^'(?=[-+.,\d])(.*)$")
 # A word behind a number that makes it a time of a day or a date.
 _CALENDAR = re.compile(
     r"[ap]\.?\s?m\.?|h\d\d|jan|feb|mar|m[äa]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz]",
@@ -175,7 +177,7 @@ def parse_number(cell: str) -> Amount | None:
     >>> parse_number("< 8,5 mg/L").unit, parse_number("12.03.2024"), parse_number("x")
     ('mg/L', None, None)
     """
-    found = _CELL.fullmatch(cell.strip())
+    found = _CELL.fullmatch(_AS_TEXT.sub(r"\1\2", cell.strip()))
     if found is None:
         return None
     body = found["body"].strip()

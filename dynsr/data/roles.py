@@ -136,7 +136,7 @@ def guess_roles(
     if states is None:
         refuse_amounts(columns, [n for n in amounts if n in held], chosen, columns.label)
     known += [n for n in given.values() if n not in known]
-    _check_roles(time, chosen, known, columns, given)
+    _check_roles(time, chosen, known, columns, given, left_out)
     if states is None and len(chosen) + len(known) > _MANY:
         warnings.warn(
             f"{columns.label} has {len(chosen)} states, and an equation of each is searched; for a "
@@ -191,6 +191,7 @@ def _check_roles(
     inputs: Sequence[str],
     columns: Columns,
     doses: Mapping[str, str],
+    left_out: Mapping[str, str],
 ) -> None:
     both = [name for name in states if name in inputs or name in time.columns]
     if both:
@@ -200,9 +201,13 @@ def _check_roles(
     if twice:
         raise InputError(f"column {twice[0]!r} is named twice; name each once")
     if not states:
+        pairs = zip(columns.names, columns.values, strict=True)
+        text = next(((n, v) for n, v in pairs if n in left_out and is_text(v)), None)
+        why = "" if text is None else f", since {text[0]!r} {left_out[text[0]]}"
+        why += "" if text is None else f" such as {str(text[1][0])[:40]!r}"
         raise InputError(
             f"{columns.label} has no column left for a state (columns: "
-            f"{list_names(columns.names)}); give a time column and at least one state"
+            f"{list_names(columns.names)}){why}; give a time column and at least one state"
         )
     odd = [state for state in doses if state not in states]
     if odd:
