@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.data import Trajectory, choose_samples, cut_at_doses, take_trajectories
+from dynsr.data import Trajectory, choose_samples, column_units, cut_at_doses, take_trajectories
 from dynsr.errors import DynsrWarning, InputError
 
 RATE = 0.6
@@ -72,7 +72,8 @@ def test_short_parts_are_left_out_and_said() -> None:
     run = course()
     close = run.inputs.copy()
     close[33] = 1.0
-    with pytest.warns(DynsrWarning, match="1 of 6 parts between doses have fewer than 8 rows"):
+    said = r"^1 of 6 parts between doses have fewer than 8 rows and are left out: \d of \d+ rows;"
+    with pytest.warns(DynsrWarning, match=said):
         assert len(cut_at_doses([replace(run, inputs=close)], {"c": "dose"})) == 5
 
 
@@ -160,6 +161,15 @@ def test_doses_are_described(tmp_path):
     assert found.to_dict()["doses"] == {"conc": "dose"}
     shell = command_line.run("describe", str(path), "--dose", "conc=dose").stdout
     assert "conc jumps by dose after 3 rows" in shell
+
+
+def test_units_of_the_columns_go_with_doses():
+    """The unit of the amounts is that of no column of an equation."""
+    t = np.arange(0, 24.5, 0.5)
+    dose = np.where(np.isin(t, (0, 8, 16)), 10.0, 0.0)
+    table = {"time [h]": t, "conc [mg/L]": given_at(t - 1e-9, (0, 8, 16)), "dose [mg]": dose}
+    runs, _ = take_trajectories(table, doses={"conc": "dose/2"})
+    assert column_units(runs[0], "columns") == {"t": "h", "conc": "mg/L"}
 
 
 def test_a_table_of_nonmem_is_cut_at_its_doses(tmp_path):

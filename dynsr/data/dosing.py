@@ -345,9 +345,11 @@ def cut_at_doses(
             f"there are {max(map(len, parts))} rows between doses at most; give at least {fewest}"
         )
     if len(kept) < len(parts):
+        every, used = sum(map(len, parts)), sum(map(len, kept))
         warnings.warn(
             f"{len(parts) - len(kept)} of {len(parts)} parts between doses have fewer than "
-            f"{fewest} rows and are left out",
+            f"{fewest} rows and are left out: {every - used} of {every} rows; where that is much, "
+            "measure more often between doses",
             DynsrWarning,
             stacklevel=2,
         )

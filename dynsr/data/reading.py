@@ -943,7 +943,9 @@ def column_units(run: Trajectory, units: Mapping[str, str] | str | None) -> dict
     if units is None:
         return None
     if units == "columns":
-        given = dict(run.origin.get("units", {}))
+        # A column of doses has a unit too, and is in no equation.
+        own: Mapping[str, str] = run.origin.get("units", {})
+        given = {name: unit for name, unit in own.items() if name in run.names}
         if not given:
             raise InputError(
                 "no column has a unit in its name, such as 'x [m]'; name them: x=m,t=s"
