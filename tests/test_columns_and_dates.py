@@ -78,6 +78,17 @@ def test_a_number_that_is_constant_within_runs_is_a_label_or_a_parameter(name, v
     assert table.trajectories[0].input_names == ((name,) if "parameters" in said else ())
 
 
+def test_a_sum_that_differs_in_its_last_digits_is_constant():
+    """N = S + I + R is left out in one run and a parameter of several, whatever its rounding."""
+    parts = (np.exp(-T), 1 / 3 + T / 9 - np.exp(-T) / 3)
+    table = {"t": T, "S": parts[0], "I": parts[1]}
+    total = 1 + np.finfo(float).eps * (np.arange(len(T)) // 7 % 2)
+    read = read_trajectories({**table, "N": total})
+    assert read.trajectories[0].names == ("S", "I") and read.left_out == {"N": "is 1 in every row"}
+    both = pd.concat([pd.DataFrame({"run": f"r{k}", **table, "N": k * total}) for k in (1, 2)])
+    assert read_trajectories(both).description.parameters == ("N",)
+
+
 def test_whole_numbers_that_alone_keep_the_times_in_order_name_the_trajectories():
     """Rows sorted by time are told apart by the one column that can."""
     data = experiments(house=[7, 3, 5]).sort_values("t", kind="stable")

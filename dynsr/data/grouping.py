@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from dynsr.data.columns import Columns
+from dynsr.data.lines import ROUNDED
 from dynsr.data.name_parts import bare_name
 from dynsr.data.time_columns import Times
 
@@ -425,8 +426,10 @@ class _Look:
             return False
         if count == 1:
             return text and len(set(values)) == 1
-        first = np.unique(codes, return_index=True)[1]
-        return bool(np.all(values == values[first][codes]))
+        first = values[np.unique(codes, return_index=True)[1]][codes]
+        if text:
+            return bool(np.all(values == first))
+        return bool(np.all(np.abs(values - first) <= ROUNDED * np.abs(first)))
 
     def differs(self, name: str) -> bool:
         """Whether a column has more than one value."""

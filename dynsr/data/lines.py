@@ -20,6 +20,8 @@ _PHASES = re.compile(
     r"(n[ro]\.?|num(ber)?|id|index|idx|count(er)?|#)",
     re.IGNORECASE,
 )
+# What differs by no more than this share of its size differs in the rounding of float64 alone.
+ROUNDED = 8 * float(np.finfo(float).eps)
 _FEWEST = 8
 # Columns that rise over so many of their own digits follow a line closely where they follow one.
 _DIGITS = 200.0
@@ -35,7 +37,7 @@ def last_digit(values: np.ndarray) -> float:
     (0.01, 1.0)
     """
     largest = float(np.max(np.abs(values), initial=0.0))
-    reach = 8 * np.finfo(float).eps * largest
+    reach = ROUNDED * largest
     few = values[:: max(len(values) // 1000, 1)]
     for digits in range(16):
         for own in (few, values):

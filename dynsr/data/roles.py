@@ -13,10 +13,11 @@ import numpy as np
 from dynsr.data.columns import Columns
 from dynsr.data.dosing import find_amounts, refuse_amounts
 from dynsr.data.grouping import Grouping, is_text
-from dynsr.data.lines import is_second_time, numbers_phases, numbers_rows
+from dynsr.data.lines import ROUNDED, is_second_time, numbers_phases, numbers_rows
 from dynsr.data.measurement_errors import find_measured
 from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import clean_name, find_column, list_names, rename
+from dynsr.data.noise_model import is_still
 from dynsr.data.steps import is_noted_at_changes, is_set
 from dynsr.data.time_columns import Times
 from dynsr.data.times import is_time_name, unit_in_name
@@ -316,7 +317,9 @@ class _Look:
         Where the caller named the states, amounts with empty cells have no role.
         """
         known = [n for n in amounts if guessed or np.isfinite(self._values(n)).all()]
-        return [n for n in names if n in known or (n not in amounts and self.is_held(n))]
+        still = self.constants(names)
+        rest = [n for n in names if n not in amounts and n not in still]
+        return [n for n in names if n in known or (n in rest and self.is_held(n))]
 
     def is_held(self, name: str) -> bool:
         """Whether a column holds its value and steps."""
@@ -332,7 +335,7 @@ class _Look:
             values = self._values(name)
             if values.dtype.kind == "f":
                 there = values[np.isfinite(values)]
-                if len(there) and there.min() == there.max():
+                if len(there) and is_still(there, ROUNDED):
                     found[name] = f"is {there[0]:g} {_IN_EVERY_ROW}"
         return found
 
@@ -354,7 +357,7 @@ def constants_left_out(columns: Columns, left_out: Mapping[str, str]) -> dict[st
     return {
         name: float(values[name][0])
         for name in said
-        if name in values and np.all(values[name] == values[name][0])
+        if name in values and is_still(values[name], ROUNDED)
     }
 
 
