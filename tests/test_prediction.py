@@ -7,6 +7,7 @@ from command_line import run
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
+from dynsr.data.reading import take_trajectories
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.maps import iterate
@@ -113,6 +114,20 @@ def test_a_narrow_pulse_from_rest_is_seen():
     pulse = np.exp(-(((fine - 5.0123) / 0.01) ** 2))
     measured = predict(rest, [0.0], t, {"u": Measured("u", fine, pulse)})
     assert measured.x[-1, 0] == pytest.approx(area, rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:columns were renamed")
+def test_a_start_may_be_given_by_name():
+    """By the names of the equations or of the data, in any order; all of them, and no others."""
+    runs, _ = take_trajectories({"t": T, "a cell": SINE, "b [g]": T**2})
+    a, b = sympy.symbols("a_cell b")
+    found = Discovery({"a_cell": -a + b, "b": -b}, {}, {}, {}, trajectories=tuple(runs))
+    wanted = found.simulate([1.0, 2.0], [0.0, 1.0]).x
+    for start in ({"b": 2.0, "a_cell": 1.0}, {"b [g]": 2.0, "a cell": 1.0}):
+        np.testing.assert_array_equal(found.simulate(start, [0.0, 1.0]).x, wanted)
+    for start in ({}, {"b": 2.0}, {"b": 2.0, "a_cell": 1.0, "c": 0.0}):
+        with pytest.raises(InputError, match=r"give a start for each of: a_cell, b$"):
+            found.simulate(start, [0.0, 1.0])
 
 
 def test_beyond_the_measured_input_nothing_is_held():

@@ -30,6 +30,7 @@ from dynsr.data import (
     cut_at_doses,
     decide_hold,
     digest,
+    in_formulas,
     in_unit,
     read_kept,
     read_sums,
@@ -1039,7 +1040,7 @@ class Discovery:
 
     def simulate(
         self,
-        x0: Sequence[float] | np.ndarray | None = None,
+        x0: Mapping[str, float] | Sequence[float] | np.ndarray | None = None,
         t: Sequence[float] | np.ndarray | None = None,
         inputs: Mapping[str, Any] | None = None,
         engine: str | AbstractEngine | None = None,
@@ -1055,7 +1056,7 @@ class Discovery:
 
         Parameters
         ----------
-        x0 : (k,) start states in the order of the equations.
+        x0 : (k,) start states in the order of the equations, or state -> its start.
         t : (n,) increasing times, in the unit of the data's.
         inputs : name -> expression in ``t``, function of one time, or (n,) values at the times; by
             default those of the data.
@@ -1073,31 +1074,42 @@ class Discovery:
         """
         if (x0 is None or t is None) and not self.trajectories:
             raise InputError("the data are not here; give x0 and t")
+        start = self._in_order(x0) if isinstance(x0, Mapping) else x0
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
         if self.delays:
             if hold is not None or doses is not None:
                 raise InputError("equations with delays are followed without hold and doses")
             given = self.inputs_of() | self._with_delayed(inputs or {}, times)
-            return self._follow(x0, times, given, engine, history)
+            return self._follow(start, times, given, engine, history)
         if history is not None:
             raise InputError("the equations have no delays; leave history out")
-        if x0 is None:
-            x0 = self.carried[0].x[0][self._positions()]
+        if start is None:
+            start = self.carried[0].x[0][self._positions()]
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
             if hold is not None or doses is not None:
                 raise InputError("a map has no time between rows; leave hold and doses out")
             own = inputs_in(self.carried[0], self.equations) if t is None else self.inputs
-            return iterate(self.equations, x0, times, {**own, **(inputs or {})})
+            return iterate(self.equations, start, times, {**own, **(inputs or {})})
         given = self.inputs_of() | self._as_held(inputs or {}, times)
         chosen = engine or self.engine
         jumps = {s: self._jumps(s, amounts) for s, amounts in (doses or {}).items()}
-        return predict_with_doses(self.equations, x0, times, jumps, given, chosen, hold)
+        return predict_with_doses(self.equations, start, times, jumps, given, chosen, hold)
+
+    def _in_order(self, start: Mapping[str, float]) -> list[float]:
+        """Give start states by name, as the data or the equations call them, in order."""
+        start = in_formulas(start, self.trajectories[0]) if self.trajectories else start
+        if set(start) != set(self.equations):
+            raise InputError(
+                f"x0 names {', '.join(map(str, start)) or 'nothing'}; give a start for each of: "
+                f"{', '.join(self.equations)}"
+            )
+        return [float(start[state]) for state in self.equations]
 
     def simulate_paths(
         self,
         count: int = 100,
-        x0: Sequence[float] | np.ndarray | None = None,
+        x0: Mapping[str, float] | Sequence[float] | np.ndarray | None = None,
         t: Sequence[float] | np.ndarray | None = None,
         inputs: Mapping[str, Any] | None = None,
         seed: int = 0,
@@ -1110,7 +1122,8 @@ class Discovery:
         Parameters
         ----------
         count : how many.
-        x0, t : the start (k,) and the times (n,); by default those of the data.
+        x0, t : the start (k,), or state -> its start, and the times (n,); by default those of the
+            data.
         inputs : input name -> expression in ``t``; by default those of the data.
         seed : the source of chance.
         parts : steps of a path between two times.
@@ -1134,6 +1147,7 @@ class Discovery:
             raise InputError("the data are not here; give x0 and t")
         if count < 1:
             raise InputError(f"count must be 1 or more; it is {count}")
+        x0 = self._in_order(x0) if isinstance(x0, Mapping) else x0
         times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
         start = self.carried[0].x[0][self._positions()] if x0 is None else x0
         start = np.asarray(start, dtype=float)
