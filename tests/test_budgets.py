@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.discovery import problem, scaling, search, tasks
+from dynsr.discovery import problem, search, stages, tasks
 from dynsr.jobs import End, TimeUp, finish_by, time_limit
 from dynsr.jobs.budget import uncut
 
@@ -41,14 +41,14 @@ def endless(*_: object, **__: object) -> None:
         (tasks, "look", EXACT),
         (tasks, "explore", NOISY),
         (tasks, "pick_equation", EXACT),
-        (search, "pool_formulas", NOISY),
+        (stages, "pool_formulas", NOISY),
         (problem, "compare_systems", NOISY),
         (problem, "confirm", EXACT),
         (problem, "polish", NOISY),
         (problem, "polish", EXACT),
         (problem, "give_verdict", NOISY),
-        (search, "follow_anyway", NOISY),
-        (search._Steps, "_end_early", EXACT),
+        (stages, "follow_anyway", NOISY),
+        (stages._Steps, "_end_early", EXACT),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
@@ -80,7 +80,7 @@ def test_a_budget_holds_in_any_thread(monkeypatch):
 @pytest.mark.slow
 def test_an_ensemble_is_ended_too(monkeypatch):
     """What comes after the search has no time of its own; the equations stay."""
-    monkeypatch.setattr(scaling, "with_ensemble", endless)
+    monkeypatch.setattr(search, "with_ensemble", endless)
     found = dynsr.discover(EXACT, jobs=1, ensemble=True, time_budget=1.5)
     assert found.settings["ended_by_budget"][-1] == "ensemble"
 

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery.delayed import _begin, search_delayed
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
+from dynsr.discovery.options import Options
 from dynsr.expression import parse
 from dynsr.fit import (
     DelayedSystem,
@@ -345,8 +346,8 @@ def study(monkeypatch, clock, seconds):
     given = []
     run = as_run(hutchinson())
 
-    def search(runs, settings):
-        given.append(settings["time_budget"])
+    def search(runs, options):
+        given.append(options.time_budget)
         clock[0] += seconds
         columns = [name for name in runs[0].names if name.endswith("_delayed")]
         expr = parse("x - x*x_delayed") if columns else parse("x")
@@ -355,8 +356,8 @@ def study(monkeypatch, clock, seconds):
     monkeypatch.setattr(Delayed, "candidates", lambda *_: iter(()))
     monkeypatch.setattr(Delayed, "fit", lambda *_: None)
     monkeypatch.setattr(Delayed, "explained", lambda *_: 1.0)
-    asked = {"time_budget": 12.0, "inputs": {}}
-    return given, search_delayed(search, [run], asked, [1.0, 2.0, 4.0], {})
+    asked = Options(time_budget=12.0, inputs={})
+    return given, search_delayed(search, [run], asked, [1.0, 2.0, 4.0])
 
 
 def test_each_search_of_a_delay_has_its_part_of_the_time_that_is_left(monkeypatch, clock):
@@ -383,12 +384,12 @@ def test_a_scan_that_takes_too_long_leaves_a_search_without_delays(monkeypatch, 
         raise TimeUp
         yield
 
-    def search(runs, settings):
-        given.append((runs[0].names, settings["time_budget"]))
+    def search(runs, options):
+        given.append((runs[0].names, options.time_budget))
         return Discovery({"x": parse("x")}, {"x": ()}, {}, {"x": ""})
 
     monkeypatch.setattr(Delayed, "candidates", slow)
-    asked = {"time_budget": 12.0, "inputs": {}}
-    found = search_delayed(search, [as_run(hutchinson())], asked, [], {})
+    asked = Options(time_budget=12.0, inputs={})
+    found = search_delayed(search, [as_run(hutchinson())], asked, [])
     assert [names for names, _ in given] == [("x",)] and 0 < given[0][1] < 0.01
     assert found.settings["ended_by_budget"] == ["delays"]

@@ -67,7 +67,7 @@ def test_a_result_that_cannot_be_saved_is_returned_all_the_same(
     def full(*_: object) -> None:
         raise InputError("cannot write discovery.json: no space left on device")
 
-    monkeypatch.setattr("dynsr.discovery.search.keep", full)
+    monkeypatch.setattr("dynsr.discovery.stages.keep", full)
     with pytest.warns(UserWarning, match="no space left on device; the result is returned"):
         found = dynsr.discover(
             prey(60, 4), preset="quick", functions=(), jobs=1, out=tmp_path / "a"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -13,18 +13,17 @@ import numpy as np
 from dynsr import __version__
 from dynsr.data import Trajectory
 from dynsr.discovery.hidden import record_search
+from dynsr.discovery.options import Options, Search
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DISCOVERY, details_of
 from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
-from dynsr.engines import DEFAULT_ENGINE, find_engine
+from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, to_text
 from dynsr.fit import ParetoFront, read_inputs
 from dynsr.jobs import RunFolder, fingerprint, to_plain
 
-Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 Asked = bool | tuple[str, ...]
 
 
@@ -55,7 +54,7 @@ def check_vary(asked: Any, runs: Sequence[Trajectory], discrete: bool) -> Asked:
 
 
 def search_apart(
-    search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], asked: Asked
+    search: Search, runs: Sequence[Trajectory], options: Options, asked: Asked
 ) -> Discovery:
     """Search some runs alone and give the law of all, with constants that may differ.
 
@@ -67,69 +66,67 @@ def search_apart(
     ----------
     search : finds equations of trajectories.
     runs : the data.
-    settings : of the search.
+    options : of the search.
     asked : what :func:`check_vary` gave.
     """
     began = monotonic()
-    _claim(runs, settings, asked)
-    found = _search_apart(search, runs, settings, asked)
+    _claim(runs, options, asked)
+    found = _search_apart(search, runs, options, asked)
     record = {**found.settings, "vary": asked if isinstance(asked, bool) else list(asked)}
     found = replace(found, settings=record, seconds=monotonic() - began)
-    keep_if_asked(found, settings.get("out"))
+    keep_if_asked(found, options.out)
     return found
 
 
-def _claim(runs: Sequence[Trajectory], settings: Mapping[str, Any], asked: Asked) -> None:
+def _claim(runs: Sequence[Trajectory], options: Options, asked: Asked) -> None:
     """Make the folder that of this discovery; raises FolderTaken when it is another one's.
 
     Each search has a folder of its own in it.
     """
-    own = {n: value for n, value in settings.items() if n not in ("out", "progress", "jobs")}
+    left_out = ("out", "progress", "jobs")
+    own = {f.name: getattr(options, f.name) for f in fields(options) if f.name not in left_out}
     about = {
         "vary": asked if isinstance(asked, bool) else list(asked),
         "version": __version__,
         "data": say_data(runs),
     }
     key = fingerprint(repr(to_plain(own)))
-    RunFolder(_inside(settings, "")).claim("discovery", about, key)
+    RunFolder(_inside(options, "")).claim("discovery", about, key)
 
 
-def _inside(settings: Mapping[str, Any], name: str) -> Path | None:
+def _inside(options: Options, name: str) -> Path | None:
     """Give a subfolder of the folder that was asked for; None where none was."""
-    out = settings.get("out")
-    return None if out is None else Path(out).absolute() / name
+    return None if options.out is None else Path(options.out).absolute() / name
 
 
 def _search_apart(
-    search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], asked: Asked
+    search: Search, runs: Sequence[Trajectory], options: Options, asked: Asked
 ) -> Discovery:
-    known = _as_known(runs, settings)
+    known = _as_known(runs, options)
     given = None if known is None else _vary([known], runs, asked)
     if given is not None and given.by_run.constants and given.verdict.level == LAW:
         return given
-    varying = settings.get("settings", DISCOVERY).vary
+    varying = options.settings.vary
     alone: list[Discovery] = []
     faults: list[InputError] = []
     chosen = _most_telling(runs)[: varying.searched]
-    budget = settings.get("time_budget")
-    if budget is not None:
-        settings = {**settings, "time_budget": budget / (1 + len(chosen))}
+    if options.time_budget is not None:
+        options = replace(options, time_budget=options.time_budget / (1 + len(chosen)))
     for place in chosen:
-        own = {**settings, "out": _inside(settings, f"run-{place + 1}")}
+        own = replace(options, out=_inside(options, f"run-{place + 1}"))
         try:
             alone.append(search([_without_constants(runs[place])], own))
         except InputError as error:
             faults.append(error)
     if alone and not all(found.complete for found in alone):
         return _of_all(alone[0], runs)
-    every = {**settings, "out": _inside(settings, "together")}
+    every = replace(options, out=_inside(options, "together"))
     varied = _vary(alone, runs, asked)
     if varied is not None and varied.by_run.constants and varied.verdict.level == LAW:
         return varied
     if varied is not None and varied.by_run.follows and not varied.by_run.constants:
         # It is a law of the known inputs of the runs as any other.
-        begun = {"start": settings.get("start") or varied}
-        found = search(runs, {**every, **begun})
+        found = search(runs, replace(every, start=options.start or varied))
         return replace(found, by_run=varied.by_run) if found.verdict.level == LAW else varied
     together = search(runs, every)
     if not together.complete or together.verdict.level == LAW:
@@ -139,18 +136,17 @@ def _search_apart(
     return min([*better, together], key=lambda found: LEVELS.index(found.verdict.level))
 
 
-def _as_known(runs: Sequence[Trajectory], settings: dict[str, Any]) -> Discovery | None:
+def _as_known(runs: Sequence[Trajectory], options: Options) -> Discovery | None:
     """Give the known equations as a discovery; None where they are not those of all states."""
-    run, details = runs[0], details_of(settings)
-    equations = read_inputs(settings.get("known") or {}, (*run.names, "t"))
-    if set(equations) != set(run.states) or settings.get("order") not in (None, 1):
+    run, inputs = runs[0], dict(options.drives)
+    equations = read_inputs(options.known or {}, (*run.names, "t"))
+    if set(equations) != set(run.states) or not options.first_order:
         return None
-    inputs = settings["inputs"]
-    engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
+    engine = find_engine(options.engine)
     measured = bool(set(arguments_of(equations)) - set(inputs))
     record = {
-        **record_search("known", settings, details),
-        **record_hold(run, inputs, False, settings.get("hold")),
+        **record_search("known", options),
+        **record_hold(run, inputs, False, options.hold),
         "known": {s: to_text(e) for s, e in equations.items()},
         "engine": engine.name,
         "engines": name_engines([], engine, measured, along=True),

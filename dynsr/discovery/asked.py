@@ -22,7 +22,7 @@ def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
 
     Raises InputError that names the argument.
     """
-    for name, (fits, wanted) in _KINDS.items():
+    for name, (fits, wanted) in KINDS.items():
         if name in given and not fits(given[name]):
             raise InputError(f"{name} {quoted(given[name])} must be {wanted}")
     for state in given.get("slopes") or {}:
@@ -37,7 +37,8 @@ def _is_names(value: Any) -> bool:
     return isinstance(value, (str, Sequence))
 
 
-_KINDS: dict[str, tuple[Any, str]] = {
+# Arguments whose values nothing else looks at: whether one fits, and what it must be.
+KINDS: dict[str, tuple[Any, str]] = {
     "method": (lambda v: _is_names(v) or hasattr(v, "search"), "a method, its name, or several"),
     "targets": (_is_names, "'all', a state, or several"),
     "known": (lambda v: v is None or isinstance(v, Mapping), "a mapping of states to formulas"),
@@ -56,19 +57,6 @@ _KINDS: dict[str, tuple[Any, str]] = {
     "progress": (lambda v: v is None or callable(v), "a function"),
     "settings": (lambda v: hasattr(v, "selection"), "DiscoverySettings"),
 }
-
-
-def is_said(value: Any) -> bool:
-    """Whether a setting says something; what it may be is checked in the search.
-
-    Parameters
-    ----------
-    value : of the setting; arrays and collections say something where they are not empty.
-
-    >>> is_said({}), is_said([0.0]), is_said(None)
-    (False, True, False)
-    """
-    return bool(len(value) if hasattr(value, "__len__") else value)
 
 
 def choose_targets(targets: str | Sequence[str], run: Trajectory) -> tuple[str, ...]:

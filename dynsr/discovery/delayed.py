@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -15,6 +15,7 @@ import sympy
 
 from dynsr.data import Trajectory
 from dynsr.discovery.delays import Delayed, DelayFit, leaves_only_noise
+from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
@@ -36,11 +37,10 @@ from dynsr.selection import ComparisonSettings
 
 # Share of the variance of the states that equations explain with their own delayed states.
 _LEAST = DISCOVERY.verdict.r2
-Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 
 
 def check_delays(
-    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any], varied: bool = False
+    asked: Any, runs: Sequence[Trajectory], options: Options, varied: bool = False
 ) -> list[float]:
     """Give the delays to search with, none for those that the data determine; raises InputError.
 
@@ -48,7 +48,7 @@ def check_delays(
     ----------
     asked : True, one delay, or several.
     runs : the data.
-    settings : of the search.
+    options : of the search.
     varied : whether constants may differ from run to run.
     """
     if varied:
@@ -56,12 +56,12 @@ def check_delays(
             "delays go with constants that all trajectories share; leave vary out, or search each "
             "trajectory alone"
         )
-    if settings.get("discrete") or settings.get("order") not in (None, 1):
+    if options.discrete or not options.first_order:
         raise InputError("delays go with equations of first order; leave order and discrete out")
     if isinstance(asked, bool):
         return []
     given = np.atleast_1d(np.asarray(asked, dtype=float)).tolist()
-    share = settings.get("settings", DISCOVERY).delays.longest
+    share = options.settings.delays.longest
     longest = share * min(float(np.ptp(run.t)) for run in runs)
     for delay in given:
         if not 0 < delay <= longest:
@@ -75,9 +75,8 @@ def check_delays(
 def search_delayed(
     search: Search,
     runs: Sequence[Trajectory],
-    settings: dict[str, Any],
+    options: Options,
     asked: Sequence[float],
-    inputs: Mapping[str, sympy.Expr],
 ) -> Discovery:
     """Search equations that may contain states and inputs as they were some time before.
 
@@ -85,12 +84,11 @@ def search_delayed(
     ----------
     search : finds equations of trajectories.
     runs : the data.
-    settings : of the search.
+    options : of the search.
     asked : delays where the fits start; none for those that the data determine.
-    inputs : input name -> expression in ``t`` where it is known.
     """
-    began, details = monotonic(), settings.get("settings", DISCOVERY)
-    budget = Budget(settings.get("time_budget"))
+    began, details, inputs = monotonic(), options.settings, options.drives
+    budget = Budget(options.time_budget)
     delayed = Delayed.of(runs, details.delays)
     comparison = details.selection.comparison
     most = len(asked) or details.delays.searched
@@ -113,22 +111,23 @@ def search_delayed(
             yield from (_Begun(delay, delayed) for delay in asked)
 
     answers: list[Discovery] = []
-    out = settings.get("out")
+    out = options.out
     best_fit = min(fits, key=lambda fit: fit.bits, default=None)
     needs_none = best_fit is not None and not best_fit.has_delay
     if needs_none:
-        found = search(runs, {**settings, "time_budget": budget.rest(2 * most + 1)})
+        found = search(runs, replace(options, time_budget=budget.rest(2 * most + 1)))
         if found.verdict.level == LAW or not found.complete:
             return replace(found, seconds=monotonic() - began)
         answers.append(found)
     for number, first in enumerate(islice(begin(), most), start=1):
         # Each delay is searched with twice.
-        own = {**settings, "time_budget": budget.rest(2 * (most - number + 1))}
+        own = replace(options, time_budget=budget.rest(2 * (most - number + 1)))
         if answers and budget.is_over:
             late = True
             break
-        own["out"] = None if out is None else Path(out) / f"delay-{number}"
-        found = search(first.delayed.columns(first.delay, first.delay), {**own, **first.start})
+        own = replace(own, out=None if out is None else Path(out) / f"delay-{number}")
+        columns = first.delayed.columns(first.delay, first.delay)
+        found = search(columns, replace(own, start=first.start or own.start))
         if not found.complete:
             return found
         study = _Study(delayed, search, comparison, inputs, own, fits)
@@ -142,7 +141,7 @@ def search_delayed(
         if answer.verdict.level == LAW:
             break
     if not answers or not (needs_none or answers[-1].delays or budget.is_over):
-        answers.append(search(runs, {**settings, "time_budget": budget.rest()}))
+        answers.append(search(runs, replace(options, time_budget=budget.rest())))
     best = min(answers, key=_rank)
     if late:
         ended = [*best.settings.get("ended_by_budget", ()), "delays"]
@@ -162,7 +161,7 @@ class _Study:
     Parameters
     ----------
     delayed, search, comparison, inputs : as in :func:`search_delayed`.
-    own : settings of a search with one delay.
+    own : options of a search with one delay.
     fits : equations and delays that were compared.
     """
 
@@ -170,7 +169,7 @@ class _Study:
     search: Search
     comparison: ComparisonSettings
     inputs: Mapping[str, sympy.Expr]
-    own: Mapping[str, Any]
+    own: Options
     fits: Sequence[DelayFit] = ()
 
     def fitted(self, first: _Begun, found: Discovery) -> Discovery:
@@ -182,7 +181,7 @@ class _Study:
         fit = self.delayed.fit(found.equations, first.delay, comparison)
         if fit is not None:
             fit = self.delayed.measured(fit, comparison)
-            again = {**self.own, "out": None, "start": found}
+            again = replace(self.own, out=None, start=found)
             near = self.search(fit.delayed.columns(fit.delay, fit.delay), again)
             if not _alike(near.equations, fit.equations):
                 other = self.delayed.fit(near.equations, fit.delay, comparison)
@@ -235,11 +234,9 @@ class _Begun:
     fit: DelayFit | None = None
 
     @property
-    def start(self) -> dict[str, Discovery]:
+    def start(self) -> Discovery | None:
         """What a search begins with: a short sum that is a law of the data ends it."""
-        if self.fit is None:
-            return {}
-        return {"start": Discovery(dict(self.fit.equations), {}, {}, {})}
+        return None if self.fit is None else Discovery(dict(self.fit.equations), {}, {}, {})
 
     def is_apart(self, others: Sequence[_Begun], far: float) -> bool:
         """Whether a fit of other delays would not move them to this one."""

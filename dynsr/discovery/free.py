@@ -24,9 +24,10 @@ from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_m
 from dynsr.discovery.free_parts import FreePart, FreeParts, FreeSettings
 from dynsr.discovery.hidden import record_search
 from dynsr.discovery.intervals import take_apart
+from dynsr.discovery.options import Options, Search
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DiscoverySettings, details_of
+from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import (
     APPROXIMATION,
@@ -38,7 +39,7 @@ from dynsr.discovery.verdict import (
     give_verdict,
     summarise,
 )
-from dynsr.engines import DEFAULT_ENGINE, find_engine
+from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, evaluate, shown, to_text
 from dynsr.fit import (
@@ -88,34 +89,34 @@ _REFUSED = (
     "nonnegative",
     "units",
     "start",
+    "vary",
+    "delays",
+    "observed",
+    "ensemble",
+    "hidden",
 )
 # Name of a constant of a formula; the space keeps it apart from any name of a column.
 _OWN = "constant of "
 # Name of a constant of an equation that was found.
 _FOUND = "constant found in "
 T = TypeVar("T")
-Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 
 
-def check_free(settings: Mapping[str, Any], others: Mapping[str, Any]) -> bool:
+def check_free(options: Options) -> bool:
     """Give whether known equations have free functions; refuse options that do not go with them.
 
     Parameters
     ----------
-    settings : of the search.
-    others : name -> value of further options.
+    options : of the call.
 
     Raises InputError that names the option.
     """
-    if not has_free(settings.get("known")):
+    if not has_free(options.known):
         return False
-    given = {**{name: settings.get(name) for name in _REFUSED}, **others}
-    for name, value in given.items():
-        usual = value is not True and value in (1, "squared")
-        if isinstance(value, np.ndarray) or (value and not usual):
-            raise InputError(
-                f"{name} does not go with a free function in known; leave one of the two out"
-            )
+    if odd := next(filter(options.says, _REFUSED), None):
+        raise InputError(
+            f"{odd} does not go with a free function in known; leave one of the two out"
+        )
     return True
 
 
@@ -466,7 +467,7 @@ def _written(answer: _Answer, settings: FitSettings) -> dict[sympy.Symbol, sympy
 def search_free(
     search: Search,
     runs: Sequence[Trajectory],
-    settings: dict[str, Any],
+    options: Options,
     units: Mapping[str, sympy.Rational],
 ) -> Discovery:
     """Find the free functions of known equations, and search the equations of the other states.
@@ -475,36 +476,36 @@ def search_free(
     ----------
     search : finds equations of trajectories.
     runs : the data.
-    settings : of the search.
+    options : of the search.
     units : column, or ``t`` -> the unit in which it is a number near 1; 1 where it is so anyway.
 
     Raises InputError where the known equations cannot be read or fitted.
     """
-    began, details = monotonic(), details_of(settings)
-    run, known, inputs = runs[0], dict(settings["known"]), settings["inputs"]
+    began, details = monotonic(), options.details
+    run, known, inputs = runs[0], dict(options.known or {}), options.drives
     model = read_model(known, run.states, (*run.names, "t"))
     demands = read_demands(
         run.states,
         run.names,
-        functions=settings.get("functions"),
-        max_complexity=settings.get("max_complexity"),
+        functions=options.functions,
+        max_complexity=options.max_complexity,
     )
-    budget, seed = Budget(settings.get("time_budget")), settings.get("seed", 0)
+    budget, seed = Budget(options.time_budget), options.seed
     limits = demands.limits(next(iter(model.equations)))
     until = budget.until(details.shares.choices)
     study = _Study.of(model, runs, inputs, details, limits, units, seed, until)
     # What cannot be fitted is refused before anything is searched.
-    others = _search_others(search, runs, settings, model)
+    others = _search_others(search, runs, options, model)
     if others is not None and others.complete and others.verdict.level != NOT_FOUND:
         # What the other states do is then known better than their smoothed curves.
         whole = _with_others(model, others)
         study = _Study.of(whole, runs, inputs, details, limits, units, seed, until)
     steps = ["the curves", *(part.name for part in study.model.parts)]
-    progress, complete = settings.get("progress"), True
+    complete = True
 
     def report(done: int) -> None:
-        if callable(progress):
-            progress(Step(steps[done - 1], done, len(steps), seconds=monotonic() - began))
+        if options.report is not None:
+            options.report(Step(steps[done - 1], done, len(steps), seconds=monotonic() - began))
 
     curved = answer = study.curved()
     report(1)
@@ -522,11 +523,11 @@ def search_free(
         loose, (answer, numbers) = answer, study.simplified(answer)
     except KeyboardInterrupt:
         complete, loose, numbers = False, answer, answer.numbers
-    engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
+    engine = find_engine(options.engine)
     record: dict[str, Any] = {
         **demands.as_record(),
-        **record_search("free", settings, details),
-        **record_hold(run, inputs, False, settings.get("hold")),
+        **record_search("free", options),
+        **record_hold(run, inputs, False, options.hold),
         **({"ended_by_budget": ["free functions"]} if study.late else {}),
         "known": {s: to_text(e) if isinstance(e, sympy.Expr) else str(e) for s, e in known.items()},
         "methods": ["free", *(others.settings["methods"] if others else ())],
@@ -538,23 +539,19 @@ def search_free(
     measured = bool(set(arguments_of(found.equations)) - set(inputs))
     record["engines"] = name_engines([], engine, measured, True, False)
     found = replace(found, settings=record, engine=engine, seconds=monotonic() - began)
-    keep_if_asked(found, settings.get("out"))
+    keep_if_asked(found, options.out)
     return found
 
 
 def _search_others(
-    search: Search, runs: Sequence[Trajectory], settings: dict[str, Any], model: FreeModel
+    search: Search, runs: Sequence[Trajectory], options: Options, model: FreeModel
 ) -> Discovery | None:
     """Search the equations that are not given; None where all targets are."""
-    asked = settings.get("targets", "all")
-    left = [s for s in choose_targets(asked, runs[0]) if s not in model.equations]
+    left = [s for s in choose_targets(options.targets, runs[0]) if s not in model.equations]
     if not left:
         return None
-    own = {name: value for name, value in settings.items() if name != "known"}
-    budget = settings.get("time_budget")
-    if budget is not None:
-        own["time_budget"] = budget / 2
-    return search(runs, {**own, "targets": left, "out": None})
+    half = None if options.time_budget is None else options.time_budget / 2
+    return search(runs, replace(options, known=None, targets=left, out=None, time_budget=half))
 
 
 def _with_others(model: FreeModel, others: Discovery) -> FreeModel:

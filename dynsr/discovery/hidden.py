@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -15,12 +15,13 @@ from dynsr import __version__
 from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
 from dynsr.discovery.intervals import match_constants
+from dynsr.discovery.options import Options
 from dynsr.discovery.prediction import name_engines, record_hold
-from dynsr.discovery.problem import DiscoverySettings, details_of
+from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
 from dynsr.discovery.verdict import NOBODY, explain, give_verdict
-from dynsr.engines import DEFAULT_ENGINE, find_engine
+from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, check_name, to_text
 from dynsr.fit import (
@@ -33,8 +34,8 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.jobs import Budget, RunFolder, Step, collect_by, fingerprint, report_each, to_plain
-from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
+from dynsr.jobs import Budget, RunFolder, collect_by, fingerprint, report_each, to_plain
+from dynsr.methods import AUTO, choose_methods, read_demands
 from dynsr.selection import (
     ComparisonSettings,
     Coupling,
@@ -61,30 +62,30 @@ _REFUSED = (
     "units",
     "loss",
     "start",
+    "vary",
+    "delays",
+    "observed",
+    "ensemble",
+    "stochastic",
 )
-_USUAL = {"method": AUTO, "targets": "all", "order": 1, "loss": "squared"}
 _DEMANDS = ("functions", "max_complexity", "terms", "must", "constraints", "nonnegative")
 
 
-def check_hidden(
-    asked: bool | int | str, runs: Sequence[Trajectory], settings: Mapping[str, Any], others: Any
-) -> str:
+def check_hidden(runs: Sequence[Trajectory], options: Options) -> str:
     """Give the name of the state that was not measured, "" where none is asked for.
 
     Parameters
     ----------
-    asked : the name, or 1 or True for one that is called "hidden".
-    runs : the data.
-    settings : of the search.
-    others : name -> value of further options that do not go with it.
+    runs, options : the data, and what is asked: the name, or 1 or True for "hidden".
 
     Raises InputError where it is not one of these, the name is that of a column, or another option
     does not go with it.
 
     >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
-    >>> [check_hidden(asked, [run], {}, {}) for asked in (1, "y", 0)]
+    >>> [check_hidden([run], Options(hidden=asked)) for asked in (1, "y", 0)]
     ['hidden', 'y', '']
     """
+    asked = options.hidden
     if asked in (False, 0):
         return ""
     if not isinstance(asked, str) and asked != 1:
@@ -93,59 +94,35 @@ def check_hidden(
     check_name(name, "column")
     if name in (*runs[0].names, "t"):
         raise InputError(f"{name!r} is a column of the data; give the hidden state another name")
-    given = {**settings, **others}
-    if odd := [n for n in (*_REFUSED, *others) if is_given(n, given.get(n))]:
-        raise InputError(f"{odd[0]} does not go with a hidden state; leave one of the two out")
-    choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
+    if odd := next(filter(options.says, _REFUSED), None):
+        raise InputError(f"{odd} does not go with a hidden state; leave one of the two out")
+    choose_methods(AUTO, options.preset)
     return name
 
 
-def is_given(option: str, value: Any) -> bool:
-    """Whether an option says anything but what it says by default.
-
-    Parameters
-    ----------
-    option, value : its name, and what was given for it.
-    """
-    if isinstance(value, np.ndarray):
-        return True
-    usual = _USUAL.get(option)
-    return bool(value) and value not in (usual, [usual], (usual,))
-
-
-def search_hidden(
-    runs: Sequence[Trajectory],
-    settings: Mapping[str, Any],
-    name: str,
-    inputs: Mapping[str, sympy.Expr],
-    progress: Callable[[Step], None] | None = None,
-) -> Discovery | None:
+def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Discovery | None:
     """Search the equations of the measured states and of one that was not measured.
 
     None where those of the measured states alone take fewer bits, or none has it.
 
     Parameters
     ----------
-    runs : the data.
-    settings : of the search.
+    runs, options : the data, and what is asked of them.
     name : of the hidden state.
-    inputs : input name -> expression in ``t`` where it is known.
-    progress : is called as each step ends.
     """
-    began, details = monotonic(), details_of(settings)
+    began, details, inputs = monotonic(), options.details, options.drives
     states, names = (*runs[0].states, name), (*runs[0].names, name)
-    demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
+    demands = read_demands(states, names, **{n: getattr(options, n) for n in _DEMANDS})
     selection = settle(details.selection, demands)
     runs = number_runs(carry(runs))
-    engine = find_engine(settings.get("engine", DEFAULT_ENGINE))
-    budget = settings.get("time_budget")
+    engine = find_engine(options.engine)
     record = {
         **demands.as_record(),
-        **record_search(_NAME, settings, details),
-        **record_hold(runs[0], inputs, False, settings.get("hold")),
+        **record_search(_NAME, options),
+        **record_hold(runs[0], inputs, False, options.hold),
         "engine": engine.name,
     }
-    claim_folder(settings.get("out"), {_NAME: name}, record, runs, inputs)
+    claim_folder(options.out, {_NAME: name}, record, runs, inputs)
     every: list[HiddenFit] = []
     alone: list[SystemFit | None] = []
 
@@ -153,7 +130,7 @@ def search_hidden(
         how = selection.comparison
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)
-        for state in report_each(["", *states[:-1]], lambda s: _title(name, s), progress):
+        for state in report_each(["", *states[:-1]], lambda s: _title(name, s), options.report):
             if state:
                 own = leading[state]
                 every.extend(find_hidden(data, name, state, own, how, details.hidden))
@@ -161,7 +138,7 @@ def search_hidden(
                 leading |= best_alone(data, how)
                 alone.append(find_without(data, leading, how))
 
-    until = Budget(budget).until(details.shares.choices)
+    until = Budget(options.time_budget).until(details.shares.choices)
     cut, complete = collect_by(until, look, every)
     if not every and cut:
         raise InputError(f"no equations with {name} were found in this time; give more")
@@ -179,26 +156,23 @@ def search_hidden(
     return replace(found, engine=engine, settings=record, seconds=monotonic() - began)
 
 
-def record_search(
-    name: str, settings: Mapping[str, Any], details: DiscoverySettings
-) -> dict[str, Any]:
+def record_search(name: str, options: Options) -> dict[str, Any]:
     """Give what the record of a search says of how it was asked for.
 
     Parameters
     ----------
     name : what stands for a method.
-    settings : of the search.
-    details : the numbers that decide.
+    options : of the search.
     """
-    budget = settings.get("time_budget")
+    budget = options.time_budget
     return {
         **({} if budget is None else {"time_budget": budget}),
         "method": name,
         "methods": [name],
-        "preset": settings.get("preset", DEFAULT_PRESET),
-        "seed": settings.get("seed", 0),
+        "preset": options.preset,
+        "seed": options.seed,
         "version": __version__,
-        "details": to_plain(details),
+        "details": to_plain(options.details),
     }
 
 

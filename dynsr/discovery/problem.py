@@ -160,12 +160,6 @@ class DiscoverySettings:
 DISCOVERY: DiscoverySettings = DiscoverySettings()
 
 
-def details_of(asked: Mapping[str, Any]) -> DiscoverySettings:
-    """Give the numbers that decide, as the arguments of a discovery ask for them."""
-    details: DiscoverySettings = asked.get("settings", DISCOVERY)
-    return details.without_snapping() if asked.get("snap") is False else details
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """The data of one discovery and what is given of their equations.

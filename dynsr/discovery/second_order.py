@@ -7,20 +7,18 @@ another one, equations of second order are searched if those of first order are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from dynsr.data import Trajectory, carry, diagnose, turns_back
-from dynsr.discovery.asked import is_said
+from dynsr.discovery.options import Options, Search
 from dynsr.discovery.orders import read_form
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.errors import InputError
 from dynsr.jobs import Budget
 
-Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
-# Settings that say something of the equations of first order.
+# Options that say something of the equations of first order.
 _OF_FIRST = (
     "discrete",
     "explicit_time",
@@ -34,37 +32,35 @@ _OF_FIRST = (
 )
 
 
-def search_orders(
-    search: Search, runs: Sequence[Trajectory], asked: Mapping[str, Any]
-) -> Discovery:
+def search_orders(search: Search, runs: Sequence[Trajectory], asked: Options) -> Discovery:
     """Search equations of first order, or of second order where the data ask for these.
 
     Parameters
     ----------
-    search : takes trajectories and settings.
+    search : takes trajectories and options.
     runs : the trajectories.
-    asked : settings of the search. An order that is given, and what says something of equations of
+    asked : options of the search. An order that is given, and what says something of equations of
         first order, leaves no choice.
 
     The better verdict is returned. The explanation says so where the order became 2.
     """
-    free = asked.get("order") is None and asked.get("targets", "all") == "all"
-    if not free or any(is_said(asked.get(name)) for name in _OF_FIRST):
-        return search(runs, dict(asked))
-    budget, states = Budget(asked.get("time_budget")), runs[0].states
+    free = asked.order is None and not asked.says("targets")
+    if not free or any(map(asked.says, _OF_FIRST)):
+        return search(runs, asked)
+    budget, states = Budget(asked.time_budget), runs[0].states
     alone = len(runs[0].names) == 1
     second = alone and turns_back(runs, states[0]) and _is_second(runs, states[0])
-    found = _search(search, runs, {**asked, "order": 2}) if second else None
+    found = _search(search, runs, replace(asked, order=2)) if second else None
     if found is None:
-        found = search(runs, {**asked, "order": 1})
+        found = search(runs, replace(asked, order=1))
         second = False
     decided = not found.complete or not found.verdict.tested or found.verdict.level == LAW
     if decided or budget.is_over or not (second or (not alone and _are_positions(runs))):
         return _say(found, states) if second else found
-    rest = {**asked, "order": 1 if second else 2, "time_budget": budget.rest(), "out": None}
+    rest = replace(asked, order=1 if second else 2, time_budget=budget.rest(), out=None)
     other = _search(search, runs, rest)
     best = found if other is None else min(found, other, key=_rank)
-    keep_if_asked(best, asked.get("out") if best is other else None)
+    keep_if_asked(best, asked.out if best is other else None)
     if second is (best is found):
         return _say(best, states)
     no_better = "" if other is None else " Equations of second order are no better."
@@ -72,12 +68,12 @@ def search_orders(
     return replace(best, explanation=said)
 
 
-def _search(search: Search, runs: Sequence[Trajectory], asked: dict[str, Any]) -> Discovery | None:
+def _search(search: Search, runs: Sequence[Trajectory], asked: Options) -> Discovery | None:
     """Search in one order; None where a column has the name of a velocity, or rows are too few."""
     try:
         return search(runs, asked)
     except InputError:
-        if asked["order"] == 1:
+        if asked.order == 1:
             raise
         return None
 

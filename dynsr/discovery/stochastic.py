@@ -7,11 +7,10 @@ its sign, and what neighbouring steps do not share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import monotonic
-from typing import Any
 
 import numpy as np
 import sympy
@@ -19,11 +18,12 @@ from scipy.special import chdtrc
 
 from dynsr.data import Trajectory
 from dynsr.discovery.diffusion import Diffusion, DiffusionTerm, log_interval
-from dynsr.discovery.hidden import claim_folder, is_given, record_search
+from dynsr.discovery.hidden import claim_folder, record_search
 from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.maps import chance_of, products_of
+from dynsr.discovery.options import Options
 from dynsr.discovery.prediction import record_hold
-from dynsr.discovery.problem import DiscoverySettings, details_of
+from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.verdict import (
     APPROXIMATION,
@@ -54,8 +54,8 @@ from dynsr.fit import (
     structure_bits,
     tidy,
 )
-from dynsr.jobs import Budget, Step, collect_by, report_each
-from dynsr.methods import AUTO, DEFAULT_PRESET, choose_methods, read_demands
+from dynsr.jobs import Budget, collect_by, report_each
+from dynsr.methods import AUTO, choose_methods, read_demands
 from dynsr.selection import (
     StochasticFound,
     StochasticSearch,
@@ -80,34 +80,34 @@ _REFUSED = (
     "units",
     "loss",
     "start",
+    "vary",
+    "delays",
+    "observed",
+    "ensemble",
+    "hidden",
 )
 _DEMANDS = ("functions", "max_complexity", "terms")
 
 
-def check_stochastic(
-    asked: Any, runs: Sequence[Trajectory], settings: Mapping[str, Any], others: Mapping[str, Any]
-) -> bool:
+def check_stochastic(runs: Sequence[Trajectory], options: Options) -> bool:
     """Say whether noise in the motion is asked for.
 
     Parameters
     ----------
-    asked : True or False.
-    runs : the data.
-    settings : of the search.
-    others : name -> value of further options that do not go with it.
+    runs, options : the data, and what is asked of them.
 
     Raises InputError where it is neither, or another option does not go with it.
 
     >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
-    >>> check_stochastic(True, [run], {}, {})
+    >>> check_stochastic([run], Options(stochastic=True))
     True
     """
+    asked = options.stochastic
     if not isinstance(asked, bool):
         raise InputError(f"stochastic={asked!r} must be True or False")
     if not asked:
         return False
-    given = {**settings, **others}
-    odd = [n for n in (*_REFUSED, *others) if is_given(n, given.get(n))]
+    odd = list(filter(options.says, _REFUSED))
     if odd:
         raise InputError(f"{odd[0]} does not go with stochastic; leave one of the two out")
     if known := [state for run in runs for state in run.noise]:
@@ -115,37 +115,28 @@ def check_stochastic(
             f"the known measurement errors of {known[0]} do not go with stochastic, which fits "
             f"them; leave noise out, and columns of errors by naming the states (--states)"
         )
-    choose_methods(AUTO, settings.get("preset", DEFAULT_PRESET))
-    refuse_idle(settings.get("engine", DEFAULT_ENGINE), "each step of the rows is fitted by itself")
+    choose_methods(AUTO, options.preset)
+    refuse_idle(options.engine, "each step of the rows is fitted by itself")
     return True
 
 
-def search_stochastic(
-    runs: Sequence[Trajectory],
-    settings: Mapping[str, Any],
-    inputs: Mapping[str, sympy.Expr],
-    progress: Callable[[Step], None] | None = None,
-) -> Discovery:
+def search_stochastic(runs: Sequence[Trajectory], options: Options) -> Discovery:
     """Search the drift and the diffusion of every state.
 
     Parameters
     ----------
-    runs : the data.
-    settings : of the search.
-    inputs : input name -> expression in ``t`` where it is known.
-    progress : is called as each step ends.
+    runs, options : the data, and what is asked of them.
     """
-    began, details = monotonic(), details_of(settings)
+    began, details, inputs = monotonic(), options.details, options.drives
     states, names = runs[0].states, runs[0].names
-    demands = read_demands(states, names, **{n: settings[n] for n in _DEMANDS if n in settings})
-    budget = settings.get("time_budget")
+    demands = read_demands(states, names, **{n: getattr(options, n) for n in _DEMANDS})
     record = {
         **demands.as_record(),
-        **record_search(_NAME, settings, details),
-        **record_hold(runs[0], inputs, False, settings.get("hold")),
+        **record_search(_NAME, options),
+        **record_hold(runs[0], inputs, False, options.hold),
         "engine": DEFAULT_ENGINE,
     }
-    claim_folder(settings.get("out"), {_NAME: True}, record, runs, inputs)
+    claim_folder(options.out, {_NAME: True}, record, runs, inputs)
     search = StochasticSearch.of(runs, inputs, demands, details.stochastic)
     if len(search.steps.h) < details.verdict.fewest:
         raise InputError(
@@ -157,13 +148,13 @@ def search_stochastic(
 
     def look() -> None:
         stages = ("drift and diffusion", "errors of measurement")
-        for stage in report_each(stages, str, progress):
+        for stage in report_each(stages, str, options.report):
             if stage == stages[0]:
                 rounds.extend(search.run())
             else:
                 whole.append(search.finish(rounds[-1]))
 
-    until = Budget(budget).until(details.shares.choices)
+    until = Budget(options.time_budget).until(details.shares.choices)
     cut, complete = collect_by(until, look, rounds)
     if not rounds:
         raise InputError(

@@ -8,9 +8,8 @@ far less is left of the residuals there, a law is searched in the cut runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 from warnings import warn
 
 import numpy as np
@@ -26,14 +25,12 @@ from dynsr.data import (
     find_steps,
     find_unseen_steps,
 )
-from dynsr.discovery.asked import is_said
+from dynsr.discovery.options import Options, Search
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.discovery.verdict import LAW
 from dynsr.errors import DynsrWarning
 from dynsr.fit import Measurements, fit_along, loosen_all
 from dynsr.jobs import Budget
-
-Search = Callable[[Sequence[Trajectory], dict[str, Any]], Discovery]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,45 +97,40 @@ class Stepped:
         )
 
 
-def take_steps(
-    runs: Sequence[Trajectory], drives: Collection[str], asked: Mapping[str, Any], whole: bool
-) -> Stepped:
+def take_steps(runs: Sequence[Trajectory], asked: Options, whole: bool) -> Stepped:
     """Cut runs where the rows next to steps show that inputs step between rows.
 
     Parameters
     ----------
     runs : the trajectories.
-    drives : inputs whose values are known at all times.
-    asked : settings of the search.
+    asked : options of the search.
     whole : whether runs have to stay whole.
     """
-    if asked.get("discrete"):
+    if asked.discrete:
         return Stepped(runs, runs, stay=True)
-    said = check_hold(asked.get("hold"), [n for n in runs[0].input_names if n not in drives])
+    drives = asked.drives
+    said = check_hold(asked.hold, [n for n in runs[0].input_names if n not in drives])
     lines = [name for name, way in said.items() if way == "linear"]
     steps = find_unseen_steps(runs, [*drives, *lines])
     # The user's own slopes, and doses of an unknown volume, are those of whole runs.
-    whole = whole or is_said(asked.get("slopes")) or any("dosing" in run.origin for run in runs)
+    whole = whole or asked.says("slopes") or any("dosing" in run.origin for run in runs)
     parts = None if steps is None or whole else cut_at_unseen_steps(runs, steps)
     return Stepped(parts or runs, runs, steps, parts is not None, whole)
 
 
-def search_stepped(
-    search: Search, stepped: Stepped, drives: Mapping[str, sympy.Expr], asked: dict[str, Any]
-) -> tuple[Discovery, Stepped]:
+def search_stepped(search: Search, stepped: Stepped, asked: Options) -> tuple[Discovery, Stepped]:
     """Search, and search again in runs cut at all steps where these alone may hide a law.
 
     Parameters
     ----------
-    search : takes trajectories and settings.
+    search : takes trajectories and options.
     stepped : what :func:`take_steps` gave.
-    drives : inputs whose values are known at all times.
-    asked : settings of the search.
+    asked : options of the search.
 
     Gives what was found, and the runs that it was found in.
     """
-    budget = Budget(asked.get("time_budget"))
-    runs, found = stepped.runs, search(stepped.runs, dict(asked))
+    budget, drives = Budget(asked.time_budget), asked.drives
+    runs, found = stepped.runs, search(stepped.runs, asked)
     judged = found.complete and found.verdict.tested
     if stepped.stay or stepped.steps or not judged or found.verdict.level == LAW:
         return found, stepped
@@ -148,10 +140,10 @@ def search_stepped(
         return found, stepped
     if budget.is_over:
         return found, stepped
-    again = search(parts, {**asked, "out": None, "time_budget": budget.rest()})
+    again = search(parts, replace(asked, out=None, time_budget=budget.rest()))
     if again.verdict.level != LAW:
         return found, stepped
-    keep_if_asked(again, asked.get("out"))
+    keep_if_asked(again, asked.out)
     return again, Stepped(parts, runs, steps, cut=True)
 
 

@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from dynsr.discovery.result import Discovery
-
-Search = TypeVar("Search", bound=Callable[..., Discovery])
+from dynsr.jobs import Step
 
 
-def with_progress(search: Search) -> Search:
-    """Let a search show its progress in the notebook that it runs in, or where it is asked to.
+@contextmanager
+def shown_progress(
+    wanted: Callable[[Step], None] | bool | None,
+) -> Iterator[Callable[[Step], None] | None]:
+    """Give what is called as steps end, and show live lines meanwhile where these are asked for.
 
     Parameters
     ----------
-    search : takes, by name, ``progress``: a function of each Step, True to show live lines, False
-        for none, None for lines in notebooks alone.
+    wanted : a function of each Step, True to show live lines, False for none, None for lines in
+        notebooks alone.
     """
+    if wanted is not None and not isinstance(wanted, bool):
+        yield wanted
+        return
+    from dynsr.jobs import NotebookProgress, TerminalProgress, in_notebook
 
-    @functools.wraps(search)
-    def shown(data: Any, **settings: Any) -> Discovery:
-        wanted = settings.pop("progress", None)
-        if wanted is not None and not isinstance(wanted, bool):
-            return search(data, progress=wanted, **settings)
-        from dynsr.jobs import NotebookProgress, TerminalProgress, in_notebook
-
-        if wanted is False or (wanted is None and not in_notebook()):
-            return search(data, **settings)
-        with NotebookProgress() if in_notebook() else TerminalProgress() as lines:
-            return search(data, progress=lines, **settings)
-
-    return cast("Search", shown)
+    if wanted is False or (wanted is None and not in_notebook()):
+        yield None
+        return
+    with NotebookProgress() if in_notebook() else TerminalProgress() as lines:
+        yield lines
