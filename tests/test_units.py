@@ -95,6 +95,8 @@ def test_a_coefficient_has_the_unit_that_its_term_lacks(units, state, term, unit
     [
         ({"x": "xx yy"}, "'xx yy' of 'x' is unknown to pint"),
         ({"x": "m//"}, "is unknown to pint"),
+        ({"x": "m;t=s"}, "'m;t=s' of 'x' is unknown to pint"),
+        ({"x": "m,s"}, "'m,s' of 'x' is unknown to pint"),
         ({"x": "10**10**10**10"}, "is too long"),
         ({"x": "m*" * 40 + "m"}, "is too long"),
         ({"x": "degC"}, "counts from an offset"),

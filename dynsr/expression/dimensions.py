@@ -304,6 +304,8 @@ def _read(registry: Any, name: str, text: str) -> Unit:
     if len(str(text)) > _LONGEST or _TOWER.search(str(text)):
         raise InputError(f"unit {quoted(text)} of {name!r} is too long; write it like m/s")
     try:
+        if set(str(text)) & set(";=,"):  # pint would read "m;t=s" as a product of the three
+            raise ValueError
         unit = registry.Unit("dimensionless" if plain else str(text).strip())
         one, two = (registry.Quantity(n, unit).to_base_units().magnitude for n in (1.0, 2.0))
     except Exception:  # pint's own, and those of the tokenizer that it reads with
