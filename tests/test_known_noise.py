@@ -61,6 +61,16 @@ def test_errors_are_said_in_four_ways():
     assert run.input_names == () and np.array_equal(run.noise["x"].sd, UNEVEN)
 
 
+def test_what_is_said_of_errors_replaces_their_column():
+    """The description does not name a column that is not used, by either name of the state."""
+    t = np.linspace(0, 1, 11)
+    table = {"t": t, "x (g)": t**2, "x_sd": 0 * t + 0.1, "y": t**3, "y_sd": 0 * t + 0.2}
+    for name in ("x (g)", "x"):
+        read = read_trajectories(table, noise={name: "5 %"})
+        assert read.description.noise == {"y": "y_sd"} and "not used" in read.left_out["x_sd"]
+        assert read.trajectories[0].noise["x"].share == 0.05
+
+
 def test_a_column_of_errors_says_how_rows_differ():
     """x_sd beside x weighs the rows; only where it is named is its size believed."""
     table = pd.DataFrame({"t": T, "x": decay(UNEVEN), "x_sd": UNEVEN})

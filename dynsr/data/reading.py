@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -32,7 +32,7 @@ from dynsr.data.roles import Roles, constants_left_out
 from dynsr.data.steps import between_rows
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, decide_hold
-from dynsr.data.understanding import Asked, understand
+from dynsr.data.understanding import Asked, Understood, understand
 from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
@@ -175,6 +175,7 @@ def read_trajectories(
     found = replace(found, notes=(*found.notes, *_count_limits(runs, limits, found.roles)))
     runs = say_noise(runs, noise, found.roles.renamed)
     runs = decide_hold(runs, hold)
+    found = _without_replaced(found, {*(noise or {})} - {*errors})
     understood = describe_runs(
         columns.label,
         runs,
@@ -186,6 +187,15 @@ def read_trajectories(
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _without_replaced(found: Understood, given: Collection[str]) -> Understood:
+    """Leave columns of errors out of the roles where the caller gives these as numbers."""
+    roles = found.roles
+    said = {n: own for n, own in roles.noise.items() if {n, roles.renamed[n]} & set(given)}
+    why = {own: f"is not used: the noise of {n!r} is given" for n, own in said.items()}
+    noise = {n: own for n, own in roles.noise.items() if n not in said}
+    return replace(found, roles=replace(roles, noise=noise), left_out={**found.left_out, **why})
 
 
 def _volumes(doses: Mapping[str, str], columns: Columns) -> dict[str, str]:

@@ -48,7 +48,7 @@ def check_vary(asked: Any, runs: Sequence[Trajectory], discrete: bool) -> Asked:
     if found and len(runs) < 2:
         raise InputError(
             "constants can differ between trajectories, and there is one; give several, or name "
-            "the column that names them with trajectory="
+            "the column that names them (--trajectory)"
         )
     return found
 
