@@ -141,6 +141,15 @@ def test_list_of_sources(tmp_path):
         read_trajectories([{"t": T, "x": T}, {"t": T, "x": T, "y": T**2}])
 
 
+def test_rows_as_json_has_them_are_a_table():
+    """A list of mappings of cells is one table; cells may be missing."""
+    rows = [{"t": a, "x": b, "run": "a"} for a, b in zip(T.tolist(), (T**2).tolist(), strict=True)]
+    del rows[3]["x"]
+    (run,) = read_trajectories(rows).trajectories
+    assert run.states == ("x",) and len(run) == len(T) - 1
+    assert [run.states for run in take_trajectories(rows)[0]] == [("x",)]
+
+
 def test_files_may_have_their_columns_in_any_order(tmp_path):
     """Each file is read by its names; Trajectory values too."""
     one = pandas.DataFrame({"t": T, "u": np.sign(T - 0.5), "x": T**2, "y": T**3})

@@ -81,9 +81,9 @@ def read_trajectories(
     source : a file of delimited text, Excel (.xlsx, .xls, .ods), MATLAB (.mat), HDF5 (.h5), NetCDF
         (.nc), Parquet, .npz or .npy; a frame of pandas or polars; a dataset of xarray; a mapping of
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
-        Trajectory; or a list of any of these, one or more trajectories each. Those of the same
-        states are runs; those that share no state measured the same experiments and are joined on
-        the time.
+        Trajectory; a list of rows as mappings; or a list of any of these, one or more trajectories
+        each. Those of the same states are runs; those that share no state measured the same
+        experiments and are joined on the time.
     time : name of the time column, of the date and the clock ("date,clock"), or the (n,) times
         themselves; guessed by default.
     states : names of the state columns; every other column by default. A source without
@@ -131,6 +131,9 @@ def read_trajectories(
         columns_of_doses(doses),
         read_limits(limits),
     )
+    if isinstance(source, list) and source and all(map(_is_record, source)):
+        names = dict.fromkeys(name for row in source for name in row)
+        source = {name: [row.get(name) for row in source] for name in names}
     if isinstance(source, list):
         return _read_list(
             source,
@@ -225,6 +228,13 @@ def _check_dose_units(run: Trajectory, doses: Mapping[str, str], roles: Roles) -
 def _given(source: Trajectory, runs: Sequence[Trajectory]) -> dict[str, str]:
     """Give what a trajectory says of those of its inputs that are inputs of the runs too."""
     return {name: way for name, way in source.hold.items() if name in runs[0].input_names}
+
+
+def _is_record(source: Any) -> bool:
+    """Whether a source is a row as JSON has it: name -> cell."""
+    return isinstance(source, dict) and all(
+        cell is None or np.isscalar(cell) for cell in source.values()
+    )
 
 
 def _is_named(time: Any, source: Any) -> bool:
