@@ -348,8 +348,14 @@ def give_verdict(
     try:
         with np.errstate(all="ignore"):
             runs, noise = complete_cells(equations, runs, inputs or {}, noise, settings.rows)
-            bench = _Bench.of(equations, runs, inputs or {}, noise, settings, fixed, curves)
-            return _give_verdict(bench, front or {}, alternatives, causes or {})
+            given = equations, runs, inputs or {}, noise, settings, fixed, curves
+            bench = _Bench.of(*given)
+            verdict = _give_verdict(bench, front or {}, alternatives, causes or {})
+            # Noise is no more than what the equations leave.
+            if exact := bench.shown_exact(verdict):
+                bench = _Bench.of(*given, exact=exact)
+                verdict = _give_verdict(bench, front or {}, alternatives, causes or {})
+            return verdict
     except (ArithmeticError, np.linalg.LinAlgError, InputError) as error:
         # What cannot be followed at all is no fault of the search.
         reason = f"the equations cannot be followed along the data ({one_line(error)})."
@@ -449,11 +455,14 @@ class _Bench:
         settings: VerdictSettings,
         fixed: Collection[sympy.Expr] = (),
         curves: Sequence[np.ndarray] = (),
+        exact: Collection[str] = (),
     ) -> _Bench:
         runs = carry(runs)
         columns = [runs[0].index(state) for state in equations]
         plain, spread = noise_and_spread(runs)
         whole = [np.broadcast_to(plain, r.x.shape) for r in runs] if noise is None else noise
+        none = [state in exact for state in runs[0].states]
+        whole = [np.where(none, 0.0, own) for own in whole]
         whole = [np.where(r.measured, own, np.inf) for r, own in zip(runs, whole, strict=True)]
         spread = spread[columns]
         every = np.concatenate([level[:, columns] for level in whole])
@@ -476,6 +485,19 @@ class _Bench:
             runs,
             fixed,
         )
+
+    def shown_exact(self, verdict: Verdict) -> list[str]:
+        """Name the states whose residuals show that they are clean, though their noise did not.
+
+        Neighbours of few rows, far apart, differ as if there were noise.
+        """
+        noisy = zip(verdict.states.items(), self.clean, strict=True)
+        states = [(state, own) for (state, own), clean in noisy if not clean]
+        return [
+            state
+            for state, own in states
+            if own.noise * math.sqrt(own.chi_square) < self.settings.exact
+        ]
 
     @property
     def values(self) -> np.ndarray:
