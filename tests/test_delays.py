@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
-from dynsr.discovery.delayed import _begin, search_delayed
+from dynsr.discovery import delayed as delayed_search
+from dynsr.discovery.delayed import _begin, _Begun, search_delayed
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
 from dynsr.discovery.options import Options
+from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.expression import parse
 from dynsr.fit import (
     DelayedSystem,
@@ -331,6 +334,27 @@ def test_what_has_no_delay_is_refused_in_one_line(tmp_path):
     table = tmp_path / "x.csv"
     np.savetxt(table, np.column_stack(data), header="t,x", delimiter=",", comments="")
     assert "must be auto" in run("discover", table, "--delays", "soon", code=2).output
+
+
+@pytest.mark.parametrize(("more", "first"), [(2.0, ("x",)), (20.0, ("x", "x_delayed"))])
+def test_a_delay_that_the_data_do_not_need_is_none(monkeypatch, more, first):
+    """A sum without a delay that takes hardly more bits than one with it is searched first.
+
+    Of an exponential decay, any delay with another rate is the same function.
+    """
+    fits = [SimpleNamespace(bits=bits, has_delay=late) for bits, late in ((0, True), (more, False))]
+    monkeypatch.setattr(Delayed, "candidates", lambda *_: iter(fits))
+    monkeypatch.setattr(Delayed, "fit", lambda *_: None)
+    monkeypatch.setattr(delayed_search, "_begin", lambda own, *_: iter([_Begun(1.6, own)]))
+    given = []
+
+    def search(runs, options):
+        given.append(runs[0].names)
+        law = Verdict("law", "", {"x": StateVerdict("law", "", 1.0)})
+        return Discovery({"x": parse("x")}, {"x": ()}, {}, {"x": ""}, verdict=law)
+
+    search_delayed(search, [as_run(hutchinson())], Options(inputs={}), [])
+    assert given[0] == first
 
 
 @pytest.fixture
