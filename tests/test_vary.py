@@ -8,10 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import sympy
+from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery import RunParameters
+from dynsr.discovery.verdict import give_verdict
 from dynsr.jobs import FolderTaken
 from tests.command_line import run
 
@@ -311,3 +313,27 @@ def test_what_cannot_differ_is_refused_in_one_line():
         varied.for_run("nobody")
     with pytest.raises(InputError, match="'k1' has 1 values for 2 runs"):
         RunParameters(("a", "b"), {"k1": varied.by_run["k1"][:1]})
+
+
+def test_a_constant_of_two_runs_keeps_no_relation_of_columns():
+    """An epidemic whose infection rate differs: that this takes two values says nothing of the law.
+
+    The same values given as a measured input leave it open how the rate depends on them.
+    """
+    t, runs = np.arange(0, 40, 0.5), []
+    for rate in (0.5, 0.8):
+
+        def slope(_: float, x: np.ndarray, rate: float = rate) -> list[float]:
+            caught = rate * x[0] * x[1]
+            return [-caught, caught - 0.15 * x[1], 0.15 * x[1]]
+
+        solved = solve_ivp(slope, (0, 40), [0.99, 0.01, 0], t_eval=t, rtol=1e-10, atol=1e-12)
+        runs.append(Trajectory(t, solved.y.T, ("S", "I", "R")))
+    infected, free = sympy.symbols("I S")
+    caught = 0.6 * infected * free
+    law = {"S": -caught, "I": caught - 0.15 * infected, "R": 0.15 * infected}
+    found = known(law, tuple(runs)).vary(["k1"])
+    assert found.verdict.level == "law"
+    assert [p.value for p in found.by_run["k1"]] == pytest.approx([0.5, 0.8], rel=1e-5)
+    given = give_verdict(found.equations, found.trajectories)
+    assert "a run from another start decides" in given.states["S"].reason

@@ -789,7 +789,9 @@ class Discovery:
         prepared = form_of(self.settings).prepare(carry(runs))
         noise = study.noise if is_noisy(prepared) else None
         known = self._known_inputs(runs)
-        verdict = give_verdict(answer.equations, prepared, known, noise=noise, settings=judging)
+        verdict = give_verdict(
+            answer.equations, prepared, known, noise=noise, settings=judging, by_run=tuple(columns)
+        )
         said = "".join(f" {words}" for words in answer.by_run.sentences)
         return replace(
             self,
@@ -929,7 +931,12 @@ class Discovery:
             slopes = self._slopes_of(chosen)
             match = polish(chosen, self.carried, self.inputs, *slopes, fitting)
             verdict = give_verdict(
-                match.exprs, self.carried, self.inputs, front=self.front, settings=judging
+                match.exprs,
+                self.carried,
+                self.inputs,
+                front=self.front,
+                settings=judging,
+                by_run=tuple(self.by_run.constants),
             )
         origin = {s: f" {self._origin(s)}" for s in chosen} | {state: " Chosen by hand."}
         return replace(

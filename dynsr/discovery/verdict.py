@@ -319,6 +319,7 @@ def give_verdict(
     settings: VerdictSettings = VERDICT,
     fixed: Collection[sympy.Expr] = (),
     curves: Sequence[np.ndarray] = (),
+    by_run: Collection[str] = (),
 ) -> Verdict:
     """Say of every equation whether it is a law of the data, an approximation, or not found.
 
@@ -336,6 +337,7 @@ def give_verdict(
     fixed : terms whose factors are known.
     curves : for each run (n, k) values of the states, in the order of the equations, from which the
         fits of starts begin; by default they begin at the measurements.
+    by_run : inputs that are constants, each with its own value in every run.
 
     Cells of which only a limit is known are drawn from what the equations say of them, beyond the
     limit; a curve on its wrong side misses them.
@@ -348,7 +350,7 @@ def give_verdict(
     try:
         with np.errstate(all="ignore"):
             runs, noise = complete_cells(equations, runs, inputs or {}, noise, settings.rows)
-            given = equations, runs, inputs or {}, noise, settings, fixed, curves
+            given = equations, runs, inputs or {}, noise, settings, fixed, curves, by_run
             bench = _Bench.of(*given)
             verdict = _give_verdict(bench, front or {}, alternatives, causes or {})
             # Noise is no more than what the equations leave.
@@ -444,6 +446,7 @@ class _Bench:
     settings: VerdictSettings
     runs: Sequence[Trajectory]
     fixed: Collection[sympy.Expr] = ()
+    by_run: Collection[str] = ()
 
     @classmethod
     def of(
@@ -455,6 +458,7 @@ class _Bench:
         settings: VerdictSettings,
         fixed: Collection[sympy.Expr] = (),
         curves: Sequence[np.ndarray] = (),
+        by_run: Collection[str] = (),
         exact: Collection[str] = (),
     ) -> _Bench:
         runs = carry(runs)
@@ -484,6 +488,7 @@ class _Bench:
             settings,
             runs,
             fixed,
+            by_run,
         )
 
     def shown_exact(self, verdict: Verdict) -> list[str]:
@@ -949,7 +954,9 @@ class _Bench:
         """Whether an equation is one of many that are the same along every run."""
         rows = np.concatenate([[*run.by_name.values()] for run in self.course.runs], axis=1)
         columns = dict(zip(self.course.runs[0].by_name, rows, strict=True))
-        return is_left_open(self.equations[state], columns)
+        # A constant of each run takes few values, but none of them is a value of a column.
+        own = {sympy.Symbol(n): sympy.Float(columns.pop(n)[0]) for n in self.by_run if n in columns}
+        return is_left_open(self.equations[state].xreplace(own), columns)
 
     def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {percent(noise)}"
