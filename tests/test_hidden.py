@@ -283,6 +283,28 @@ def test_an_input_acts_on_the_hidden_state():
 
 
 @pytest.mark.slow
+def test_an_input_acts_on_the_state_that_hides_another():
+    """An infusion into the compartment that is measured: what the data determine has its slope.
+
+    x' = u - 0.5 x + 0.2 y, y' = 0.3 x - 0.2 y, so that x'' = u' + 0.2 u - 0.7 x' - 0.04 x.
+    """
+    t = np.linspace(0, 20, 150)
+    _, w = follow(
+        lambda t, z: [np.sin(t) - 0.5 * z[0] + 0.2 * z[1], 0.3 * z[0] - 0.2 * z[1]],
+        [1.0, 0.5],
+        20,
+        150,
+    )
+    table = {"t": t, "x": w[:, 0]}
+    found = discover(table, inputs={"u": "sin(t)"}, hidden="y", jobs=1, preset="quick")
+    assert found.verdict.level == "law"
+    law = law_of(found.equations, coupling_of("y", found.hidden["y"], found.equations))["y"]
+    slopes = {name: float(law.coeff(sympy.Symbol(name))) for name in ("u'", "u", "x'", "x")}
+    assert slopes == pytest.approx({"u'": 1.0, "u": 0.2, "x'": -0.7, "x": -0.04}, rel=1e-3)
+    assert "x'' = u' + 0.2*u" in found.hidden_notes["y"].replace("0.2*u + u'", "u' + 0.2*u")
+
+
+@pytest.mark.slow
 def test_data_that_need_no_hidden_state_get_none():
     """Logistic growth: its own equation takes fewer bits, and the explanation says so."""
     t = np.linspace(0, 10, 100)

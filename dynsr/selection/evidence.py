@@ -51,7 +51,7 @@ class Evidence:
 
         Parameters
         ----------
-        still : the system, with 0 for that equation.
+        still : the system, with 0 for that equation; constants of the others are free.
         names : the columns, the time the last.
         rows : measured rows.
         softness : weight of the defects.
@@ -61,12 +61,15 @@ class Evidence:
         still = replace(still, mesh=mesh)
         places, spread = spread_over(mesh, nodes)
         probes = Probes(np.full(len(spread), len(mesh.states) - 1), spread)
+        constants = still.constants
         try:
-            normal = still.normal(mesh.start, np.zeros(0), probes, softness)
+            gram = still.normal(mesh.start, constants, probes, softness).gram
         except LinAlgError:
             return None
-        points = still.points(mesh.start, np.zeros(0))[:, places]
-        return cls._of_gram(names, points, normal.gram, rows)
+        if count := len(constants):
+            gram = without(gram, range(count), count)
+        points = still.points(mesh.start, constants)[:, places]
+        return cls._of_gram(names, points, gram, rows)
 
     @classmethod
     def of_slopes(cls, samples: Samples, errors: np.ndarray) -> Evidence:

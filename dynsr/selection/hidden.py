@@ -150,13 +150,15 @@ def law_of(exprs: Mapping[str, sympy.Expr], coupling: Coupling) -> Equations | N
     >>> x, y = sympy.symbols("x y")
     >>> law_of({"x": y, "y": -4 * x}, Coupling("y", "x"))
     {'y': -4*x}
+    >>> law_of({"x": y + sympy.Symbol("u"), "y": -4 * x}, Coupling("y", "x"))
+    {'y': u' - 4*x}
     """
     mine, hidden = exprs[coupling.state], coupling.symbol
     factor = expand_terms(sympy.diff(mine, hidden))
     if factor == 0 or hidden in factor.free_symbols:
         return None
     known = {hidden: (coupling.slope - mine.subs(hidden, 0)) / factor}
-    turned = sum((sympy.diff(mine, sympy.Symbol(s)) * e for s, e in exprs.items()), sympy.S.Zero)
+    turned = _slope_along(mine, exprs)
     others = {s: e for s, e in exprs.items() if s not in (coupling.state, coupling.name)}
     law = {**others, coupling.name: turned}
     return {s: expand_terms(e.xreplace(known)) for s, e in law.items()}
@@ -179,9 +181,17 @@ def write_law(law: Equations, exprs: Mapping[str, sympy.Expr], coupling: Couplin
     slopes = {s: e.xreplace({coupling.slope: mine}) for s, e in law.items()}
     slope = slopes.pop(name)
     found = {**slopes, state: mine}
-    slope -= sum((sympy.diff(mine, sympy.Symbol(s)) * e for s, e in found.items()), sympy.S.Zero)
+    slope -= _slope_along(mine, {**found, name: sympy.S.Zero})
     found[name] = expand_terms(slope / (coupling.sign * coupling.body))
     return {s: expand_terms(found[s]) for s in exprs}
+
+
+def _slope_along(expr: sympy.Expr, slopes: Mapping[str, sympy.Expr]) -> sympy.Expr:
+    """Give the slope of an expression where some columns have these slopes; u' is that of u."""
+    others = {str(s) for s in expr.free_symbols} - slopes.keys()
+    own = {n: sympy.S.One if n == "t" else sympy.Symbol(f"{n}'") for n in sorted(others)}
+    every = {**slopes, **own}
+    return sympy.Add(*(sympy.diff(expr, sympy.Symbol(n)) * e for n, e in every.items()))
 
 
 def _without_rounding(expr: sympy.Expr) -> sympy.Expr:
@@ -271,7 +281,9 @@ def find_hidden(
     begun = [
         one
         for body in _bodies(data, state, comparison, settings)
-        if (one := _begin(data, Coupling(name, state, body), comparison)) is not None
+        for coupling in (Coupling(name, state, body),)
+        for rest in dict.fromkeys((sympy.S.Zero, _by_inputs(data, coupling)))
+        if (one := _begin(data, coupling, rest, comparison)) is not None
     ]
     begun.sort(key=lambda one: one.bits)
     # A state that needs no hidden one takes fewer bits alone.
@@ -363,16 +375,37 @@ def first_curve(
     return data.with_hidden(coupling.name, curves)
 
 
+def _by_inputs(data: Measurements, coupling: Coupling) -> sympy.Expr:
+    """Give the part of the slope of a state that its inputs make at once.
+
+    A hidden state is smoother than inputs that act on its slope. So it is what bends least when
+    multiples of the inputs are taken from the slope.
+    """
+    names = data.runs[0].input_names
+    if not names:
+        return sympy.S.Zero
+    place, slopes, inputs = data.runs[0].index(coupling.state), [], []
+    for run, own in zip(data.runs, data.smoothed, strict=True):
+        slopes.append(np.diff(own.slope[:, place], 2))
+        inputs.append(np.diff(run.inputs, 2, axis=0))
+    bent, by = np.concatenate(slopes), np.concatenate(inputs)
+    factors = np.linalg.lstsq(by, bent, rcond=None)[0]
+    return sympy.Add(
+        *(sympy.Float(c) * sympy.Symbol(n) for c, n in zip(factors, names, strict=True) if c)
+    )
+
+
 def _begin(
-    data: Measurements, coupling: Coupling, comparison: ComparisonSettings
+    data: Measurements, coupling: Coupling, rest: sympy.Expr, comparison: ComparisonSettings
 ) -> HiddenFit | None:
-    """Look for the equation of the hidden state where it is the slope of another one."""
-    curves, best = first_curve(data, coupling), None
+    """Look for the equation of the hidden state, which is the slope of another one less a rest."""
+    own_equation = coupling.term + rest
+    curves, best = first_curve(data, coupling, {coupling.state: own_equation}), None
     # A system that follows the data gives a better curve than slopes do.
     for _ in range(comparison.again):
         mesh = curves.mesh((coupling.state, coupling.name))
         own = HiddenComparison(mesh, comparison, curves.runs[0].states, coupling=coupling)
-        alone = Alone(coupling.name, {coupling.state: coupling.term}, own)
+        alone = Alone(coupling.name, {coupling.state: own_equation}, own)
         alone.rank(alone.propose())
         found = alone.best()
         if found is None or (best is not None and found.bits > best.bits - comparison.gain):
@@ -530,5 +563,7 @@ def _measured_columns(found: HiddenFit) -> dict[str, np.ndarray]:
     columns = dict(zip(mesh.states, found.fit.fit.states.T, strict=True))
     columns |= dict(zip(mesh.driven_names, mesh.driven[:, : len(mesh.t)], strict=True))
     slope = evaluate(found.fit.exprs[found.coupling.state], columns)
+    step = float(np.median(mesh.h))
+    turned = {f"{n}'": np.gradient(columns[n]) / step for n in mesh.driven_names if n != "t"}
     del columns[found.coupling.name]
-    return {**columns, found.coupling.slope.name: slope}
+    return {**columns, **turned, found.coupling.slope.name: slope}
