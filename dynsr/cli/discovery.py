@@ -89,8 +89,8 @@ def show_reasons(
     if not details and (positions := found.settings.get("order_by_data")):
         _say(explain_order(positions))
     _print_constants(found, details)
-    for volume in found.volumes.values():
-        _say(f"{volume.name} = {volume.value:.6g} (95 %: {volume.interval_text}), {volume.of}.")
+    for words in found.volume_notes:
+        _say(words)
     for state, kept in found.ensemble.items():
         _say(f"{state}', ensemble: " + "; ".join(one.text for one in kept))
     for words in found.details.values() if details else ():

@@ -1201,6 +1201,14 @@ class Discovery:
         """State -> what is known of the noise in its motion, in words."""
         return {state: own.text(state) for state, own in self.diffusion.items()}
 
+    @property
+    def volume_notes(self) -> list[str]:
+        """The volumes by which amounts are divided, with their 95 % intervals, in words."""
+        return [
+            f"{own.name} = {own.value:.6g} (95 %: {own.interval_text}), {own.of}."
+            for own in self.volumes.values()
+        ]
+
     def _jumps(self, state: str, amounts: Any) -> Any:
         """Give what a state jumps by: amounts by its volume."""
         _, volume = split_volume(self.doses.get(state, ""))

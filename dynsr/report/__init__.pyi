@@ -1,5 +1,12 @@
 from .batch import write_batch
-from .discovery import list_fixed_points, show_branches, show_flow, write_report
+from .discovery import (
+    list_by_run,
+    list_fixed_points,
+    show_branches,
+    show_flow,
+    show_noise,
+    write_report,
+)
 from .page import Picture, render_page, write_table
 from .plots import (
     Panel,
@@ -29,10 +36,12 @@ __all__ = [
     "draw_profiles",
     "draw_states",
     "draw_suggestion",
+    "list_by_run",
     "list_fixed_points",
     "render_page",
     "show_branches",
     "show_flow",
+    "show_noise",
     "to_bytes",
     "write_batch",
     "write_report",

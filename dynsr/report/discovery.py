@@ -258,11 +258,11 @@ def render_discovery(found: Discovery) -> str:
         summary=_summary(found),
         equations=[_equation(found, state) for state in found.equations],
         constants=_constants(found),
-        by_run=_by_run(found),
+        by_run=list_by_run(found),
         free=found.free.sentences,
         free_pictures=_free(found),
         noise=list(found.noise_notes.values()),
-        steps=_noise_pictures(found),
+        steps=[picture] if (picture := show_noise(found)) else [],
         free_tables=[_values(part) for part in found.free.curves.values()],
         fronts={
             state: _front(found, state, samples.get(state))
@@ -463,8 +463,13 @@ def _values(part: FreePart) -> Table:
     )
 
 
-def _by_run(found: Discovery) -> Table | None:
-    """Give the parameters that differ from run to run; None where all are shared."""
+def list_by_run(found: Discovery) -> Table | None:
+    """Give the parameters that differ from run to run; None where all are shared.
+
+    Parameters
+    ----------
+    found : the discovery.
+    """
     own = found.by_run
     if not own.constants:
         return None
@@ -595,16 +600,21 @@ def _path(found: Discovery, run: Trajectory, rows: Any) -> tuple[Trajectory | No
     return model.select(rows), {s: (low[rows], high[rows]) for s, (low, high) in bands.items()}
 
 
-def _noise_pictures(found: Discovery) -> list[Picture]:
-    """Draw the changes of each state in cells of near rows, and the drift and diffusion there."""
+def show_noise(found: Discovery) -> Picture | None:
+    """Draw the changes of each state in cells of near rows, and the drift and diffusion there.
+
+    Parameters
+    ----------
+    found : the discovery, with its data; None where its motion has no noise.
+    """
     if not (found.diffusion and found.trajectories):
-        return []
+        return None
     words = (
         "Left: the mean change of each state in unit time, in cells of near rows, with its "
         "standard error, and the drift found. Right: the variance in unit time of what each step "
         "misses, and the diffusion found."
     )
-    return [Picture.of(draw_steps(cells_of(found.steps_of())), words)]
+    return Picture.of(draw_steps(cells_of(found.steps_of())), words)
 
 
 def list_fixed_points(found: Discovery) -> tuple[FixedPoint, ...]:
