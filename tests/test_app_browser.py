@@ -4,8 +4,10 @@ Where there is no Chromium these tests are skipped; with DYNSR_REQUIRE_CHROMIUM=
 """
 
 import json
+import math
 import time
 
+import numpy as np
 import pytest
 
 import dynsr
@@ -383,3 +385,122 @@ def test_the_preview_says_which_trajectory_it_shows(browser, page):
     browser.wait(FOUND)
     names = "[...document.querySelectorAll('#run option')].map(e => e.textContent)"
     assert browser.run(names) == ["A", "B"]
+
+
+def ready(browser, page, columns, name):
+    """Drop columns, and give the page as it offers a quick search of them."""
+    browser.open(page.url, DESK)
+    browser.wait("!!parts.choices")
+    rows = zip(*(map(str, own) for own in columns.values()), strict=True)
+    page.drop("\n".join([",".join(columns), *map(",".join, rows)]), name)
+    browser.wait(f"({IDLE}) && !parts.found && parts.table.guess.startsWith('{name}')")
+    browser.run("document.getElementById('more').open = true")
+    click(browser, "[name=preset][value=quick]")
+    if not browser.run("document.getElementById('own').checked"):
+        click(browser, "#own")
+
+
+def refused(browser):
+    """Ask for a search that is refused; gives the line."""
+    click(browser, "#search")
+    return browser.wait("!parts.busy && document.getElementById('said').innerText")
+
+
+def check_looks(browser, page, shown, *screens):
+    """Check that nothing is cut off and axe-core finds nothing, on screens of a width and look."""
+    script = require_axe()
+    for width, dark in screens:
+        browser.open(page.url, width, dark=dark)
+        browser.wait(shown)
+        browser.run("document.getElementById('more').open = true")
+        assert browser.run(OVERFLOWING) == []
+        assert violations(browser, script) == []
+        assert browser.complaints() == []
+
+
+def test_constants_may_differ_from_run_to_run_and_not_with_a_delay(browser, page):
+    """With several runs the choice is there, and gives a table; with a delay too it is refused."""
+    t = np.linspace(0, 4, 40)
+    runs = {"run": np.repeat([1, 2], 40), "t": np.tile(t, 2)}
+    runs["x"] = np.concatenate([3 * np.exp(-k * t) for k in (0.4, 1.1)])
+    ready(browser, page, runs, "runs.csv")
+    change(browser, "[name=vary]", "*")
+    assert browser.run("document.querySelector('[name=delay]').hidden")
+    change(browser, "[name=delays]", "about")
+    change(browser, "[name=delay]", "1.5")
+    assert refused(browser).startswith("delays go with constants that all trajectories share")
+    change(browser, "[name=delays]", "")
+    click(browser, "#search")
+    browser.wait(FOUND)
+    cells = "[...document.querySelectorAll('#by-run tbody tr')].map(e => e.cells[1].innerText)"
+    assert browser.run(cells) == ["0.4", "1.1"]
+    assert text(browser, "#moving").startswith("No slider moves k1")
+    assert browser.run("document.querySelectorAll('.constants input').length") == 0
+    first = browser.run("document.getElementById('svg').innerHTML")
+    change(browser, "#run", "1")
+    browser.wait("parts.picture.run === 1 && !document.querySelector('.waiting')")
+    assert browser.run("document.getElementById('svg').innerHTML") != first
+    check_looks(browser, page, FOUND, (PHONE, True))
+
+
+def test_noise_may_be_in_the_motion(browser, page):
+    """Chosen, it gives drift, diffusion and a band of paths; with a hidden state it is refused."""
+    rng, x = np.random.default_rng(0), [1.0]
+    while len(x) < 400:
+        x.append(x[-1] * math.exp(-0.1) + rng.normal(0, math.sqrt(0.1 * (1 - math.exp(-0.2)))))
+    ready(browser, page, {"t": np.arange(400) / 10, "x": x}, "chance.csv")
+    # One run has no other that could differ.
+    assert browser.run("document.getElementById('vary').hidden")
+    change(browser, "[name=stochastic]", "yes")
+    change(browser, "[name=hidden]", "y")
+    assert refused(browser).startswith("stochastic does not go with a hidden state")
+    change(browser, "[name=hidden]", "")
+    click(browser, "#search")
+    browser.wait(FOUND)
+    assert text(browser, "#noise-notes").startswith("Noise in the motion of x: variance")
+    assert browser.run("document.querySelectorAll('#steps svg').length") == 1
+    assert "band of 95 %" in text(browser, "#moving")
+    check_looks(browser, page, FOUND, (PHONE, True))
+
+
+def test_a_state_may_be_hidden(browser, page):
+    """Its name gives its equation, its curve, and what cannot be known of it."""
+    t = np.linspace(0, 6, 61)
+    ready(browser, page, {"t": t, "x": np.exp(-t / 5) * np.cos(2 * t)}, "angle.csv")
+    change(browser, "[name=hidden]", "y")
+    click(browser, "#search")
+    browser.wait(FOUND)
+    assert "y, not measured" in text(browser, "#svg")
+    assert "Nobody measured y. Its scale and sign are chosen" in text(browser, "#equations")
+    # The factor of a hidden state was chosen: it has no slider.
+    names = "[...document.querySelectorAll('.constants td:first-child')].map(e => e.innerText)"
+    assert "k2" not in browser.run(names) and "k1" in browser.run(names)
+    check_looks(browser, page, FOUND, (PHONE, True))
+
+
+def test_errors_limits_and_sums_are_said_at_their_columns(browser, page):
+    """A limit is asked for where cells say BDL, errors at any state, and a sum for its states."""
+    t = np.linspace(0, 6, 31)
+    drug = [f"{x:.4f}" if x > 0.1 else "BDL" for x in np.exp(-0.7 * t)]
+    columns = {"t": t, "S": 1 + np.cos(t), "S_sd": 0.1 + t / 100, "drug": drug, "total": 3 + t}
+    ready(browser, page, columns, "cells.csv")
+    roles = "[...document.querySelectorAll('#columns select:not(.way)')].map(e => e.value)"
+    assert browser.run(roles) == ["time", "state", "error", "state", "state"]
+    assert browser.run("document.getElementById('way-2').value") == "S*"
+    limits = "[...document.querySelectorAll('#columns [id^=limit]')].map(e => e.id)"
+    assert browser.run(limits) == ["limit-3"]
+    errors = "[...document.querySelectorAll('#columns [id^=error]')].map(e => e.id)"
+    assert browser.run(errors) == ["error-3", "error-4"]
+    assert "cells without a number, such as BDL" in text(browser, "#help")
+    change(browser, "#limit-3", "0.1")
+    browser.wait("!parts.busy && document.getElementById('notes').innerText.includes('is beyond')")
+    change(browser, "#error-3", "5 %")
+    browser.wait("!parts.busy && parts.table.columns[3].error === '5 %'")
+    change(browser, "#role-4", "sum")
+    browser.wait("document.getElementById('guess').innerText.includes('type of which states')")
+    change(browser, "#way-4", "S + I")
+    browser.wait("!parts.busy && parts.table.states.includes('I')")
+    assert browser.run("document.getElementById('error-3').value") == "5 %"
+    change(browser, "#way-2", "S")
+    browser.wait("!parts.busy && parts.table.columns[2].way === 'S' && !parts.table.error")
+    check_looks(browser, page, IDLE, (DESK, False), (PHONE, True))

@@ -20,6 +20,8 @@ from dynsr.errors import InputError, one_line
 
 EXAMPLE = "prey-and-predators.csv"
 READ, SEARCH, REDRAW, WRITE = "read", "search", "redraw", "write"
+# What the page says of columns, by the arguments of the method READ.
+OF_COLUMNS = ("roles", "units", "ways", "errors", "limits")
 _KEEP, _RESTORE = "keep", "restore"
 _DATA = "data-"
 _RESULTS = ("found", "progress", "picture")
@@ -146,22 +148,19 @@ class Desk:
         self._go_on()
         return ended
 
-    def ask_again(
-        self, roles: Mapping[str, str], units: Mapping[str, str], ways: Mapping[str, str]
-    ) -> None:
+    def ask_again(self, said: Mapping[str, Mapping[str, str]]) -> None:
         """Have the file read with other roles and units of its columns.
 
         Parameters
         ----------
-        roles, units, ways : as for :meth:`dynsr.app.work.Work.read`.
+        said : what the page says of columns, by the names of OF_COLUMNS, as for
+            :meth:`dynsr.app.work.Work.read`.
 
         Raises InputError when there is none, or while a search runs.
         """
         if self._source is None:
             raise InputError("there are no data; drop a file first")
-        self.ask(
-            READ, **{**self._source, "roles": dict(roles), "units": dict(units), "ways": dict(ways)}
-        )
+        self.ask(READ, **{**self._source, **said})
 
     def place_for(self, name: str) -> Path:
         """Give a path for a file that comes in; :meth:`read` or :meth:`drop` it in the end."""

@@ -28,7 +28,7 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 
-from dynsr.app.desk import READ, REDRAW, SEARCH, WRITE, Desk
+from dynsr.app.desk import OF_COLUMNS, READ, REDRAW, SEARCH, WRITE, Desk
 from dynsr.data import own_folder
 from dynsr.errors import InputError, in_words, one_line
 
@@ -284,8 +284,7 @@ class _Wish(_Guarded):
         """Do what a button of the page is for."""
         given = self._read()
         if wish == "columns":
-            ways = _words(given, "ways") if "ways" in given else {}
-            self.desk.ask_again(_words(given, "roles"), _words(given, "units"), ways)
+            self.desk.ask_again({name: _words(given, name) for name in OF_COLUMNS})
         elif wish == "search":
             self.desk.ask(SEARCH, options=_mapping(given, "options"))
         elif wish == "redraw":

@@ -6,6 +6,7 @@ can be ended whatever it does.
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from dynsr.data import (
     describe_table,
     in_unit,
     load_columns,
+    read_sums,
     read_trajectories,
     write_bytes,
     write_text,
@@ -32,7 +34,7 @@ from dynsr.discovery import (
     RECORD,
     Discovery,
     discover,
-    inputs_in,
+    keep,
     keep_formulas,
     next_to_data,
     write_lines,
@@ -40,25 +42,43 @@ from dynsr.discovery import (
 )
 from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line, quoted
 from dynsr.export import Source, list_formats, name_file, pack_format
-from dynsr.expression import NAMED_FUNCTIONS, left_of, parse, shown, to_mathml, to_text
+from dynsr.expression import (
+    NAMED_FUNCTIONS,
+    arguments_of,
+    left_of,
+    parse,
+    shown,
+    to_mathml,
+    to_text,
+)
 from dynsr.fit import ParetoFront, tidy
 from dynsr.jobs import REPORT, clock, say_left
 from dynsr.methods import DEFAULT_PRESET, PRESETS
-from dynsr.report import Picture, draw_states, list_fixed_points, show_branches, show_flow
+from dynsr.report import (
+    Picture,
+    draw_states,
+    list_by_run,
+    list_fixed_points,
+    show_branches,
+    show_flow,
+    show_noise,
+)
 
 if TYPE_CHECKING:
     import sympy
 
-    from dynsr.data import Description, Trajectory
+    from dynsr.data import Description, Limits, Trajectory
     from dynsr.jobs import Step
+    from dynsr.report import Table
 
 # What the page calls the files, and what they are.
 CODE = "model.py"
 FILES = (REPORT, CODE, RECORD)
 # What was found, for a process that takes the place of one that was ended by force.
-_KEPT = "kept.json"
+_KEPT = "kept"
 TIME, TRAJECTORY, QUANTITY = "time", "trajectory", "quantity"
 STATE, INPUT, DOSE, UNUSED = "state", "input", "dose", "unused"
+SUM, ERROR = "sum", "error"
 _PREVIEW_ROWS = 8
 _LONGEST_CELL = 40
 # A picture of more rows shows no more, and more columns are no preview.
@@ -69,8 +89,10 @@ _MOST_PANELS = 4
 # What is kept of a search that was ended by force.
 _OF_RECORD = ("order", "explicit_time", "discrete", "preset", "seed", "column_units")
 _NUMBERS = ("max_complexity", "time_budget", "seed")
+# In the place of names or numbers: the data decide.
+_BY_DATA = "*"
 _NOTHING = "there are no equations yet; press Find equations first"
-_SWITCHES = ("snap", "explicit_time", "discrete", "ensemble")
+_SWITCHES = ("snap", "explicit_time", "discrete", "ensemble", "stochastic")
 
 Say = Callable[[str, Any], None]
 
@@ -90,10 +112,14 @@ class Work:
         self._folder, self._say, self._jobs = folder, say, jobs
         self._source: tuple[str, Columns] | None = None
         self._reshaped: tuple[str, ...] = ()
+        # Column that is called the errors of a state -> that state.
+        self._called: dict[str, str] = {}
         self._runs: list[Trajectory] = []
         self._names: list[str] = []
         self._units: dict[str, str] = {}
         self._doses: dict[str, str] = {}
+        self._sums: dict[str, str] = {}
+        self._states: tuple[str, ...] = ()
         self._found: Discovery | None = None
 
     def offer(self) -> None:
@@ -109,6 +135,8 @@ class Work:
         roles: Mapping[str, str] | None = None,
         units: Mapping[str, str] | None = None,
         ways: Mapping[str, str] | None = None,
+        errors: Mapping[str, str] | None = None,
+        limits: Mapping[str, str] | None = None,
     ) -> None:
         """Read a file and show its columns, with the roles that are guessed or given.
 
@@ -118,7 +146,11 @@ class Work:
         roles : column -> its role; guessed by default.
         units : column -> its unit; by default that in its name.
         ways : input -> what it does between rows; column of doses -> the state that jumps by them,
-            with ``/V`` behind it where they are divided by a volume that is fitted.
+            with ``/V`` behind it where they are divided by a volume that is fitted; sum -> the sum
+            of states that it is; column of errors -> the state whose errors they are, with ``*``
+            behind it where only their ratios are known.
+        errors : state -> its errors of measurement, such as "0.1" or "5 %".
+        limits : state -> the limit of its measurement, such as "0.05".
 
         Columns are shown also where they cannot be used, with the reason. Raises InputError where
         not even columns can be distinguished.
@@ -130,13 +162,15 @@ class Work:
                 columns = load_columns(path)
             self._source = path, replace(columns, notes=(*columns.notes, *notes))
         columns = self._source[1]
-        given = {n: u for n, u in (units or {}).items() if n in columns.names and u.strip()}
+        said = _Said.of(columns.names, roles, units, ways, errors, limits)
         with _heard() as notes:
             try:
-                view = self._understand(columns, roles, given, ways or {})
+                view = self._understand(columns, said)
             except InputError as error:
+                self._runs = []
                 guessed = roles or {n: STATE for n in columns.names if _is_number(columns, n)}
-                view = {**_describe(columns, guessed, given, ways or {}), "error": one_line(error)}
+                view = self._describe(columns, replace(said, roles=guessed))
+                view["error"] = one_line(error)
         self._say("table", {**view, "notes": list(dict.fromkeys([*notes, *view["seen"]]))})
         self._say("preview", self._preview() if self._runs else None)
 
@@ -149,13 +183,8 @@ class Work:
         svg = _draw(_at_a_glance(run), None)
         return {"svg": svg, "said": " ".join(filter(None, (which, some)))}
 
-    def _understand(
-        self,
-        columns: Columns,
-        roles: Mapping[str, str] | None,
-        units: Mapping[str, str],
-        ways: Mapping[str, str],
-    ) -> dict[str, Any]:
+    def _understand(self, columns: Columns, said: _Said) -> dict[str, Any]:
+        roles, units, ways = said.roles, said.units, said.ways
         if roles is None:
             table = read_trajectories(columns)
         else:
@@ -163,18 +192,26 @@ class Work:
             if len(of[QUANTITY]) > 1:
                 both = " and ".join(map(repr, of[QUANTITY][:2]))
                 raise InputError(f"columns {both} are both the quantity; choose one")
-            used = columns.only([n for role in _ROLES if role != UNUSED for n in of[role]])
+            # A limit or an error may be the name of a column.
+            other = {*said.errors.values(), *said.limits.values()}
+            used = columns.only(
+                [n for n in columns.names if roles.get(n, UNUSED) != UNUSED or n in other]
+            )
+            measured = [n for n in columns.names if roles.get(n) in _MEASURED]
+            noise = {n: said.errors[n] for n in measured if n in said.errors}
             # States of such columns have names of their own.
             reshaped = bool(self._reshaped) and set(self._reshaped) <= set(of[STATE])
             table = read_trajectories(
                 used,
                 tuple(of[TIME]) or None,
-                None if reshaped or of[QUANTITY] else of[STATE],
+                None if reshaped or of[QUANTITY] else measured,
                 of[INPUT],
                 of[TRAJECTORY] or None,
                 quantity=next(iter(of[QUANTITY]), "none"),
                 hold={n: ways[n] for n in of[INPUT] if ways.get(n)} or None,
                 doses=_given_to(of[DOSE], of[STATE], ways),
+                noise={**noise, **_errors_of(of[ERROR], measured, ways)} or None,
+                limits={n: said.limits[n] for n in measured if n in said.limits} or None,
             )
         found = table.roles
         assert found is not None
@@ -184,12 +221,20 @@ class Work:
             named |= dict.fromkeys(found.doses.values(), DOSE)
             named |= dict.fromkeys(found.trajectory, TRAJECTORY)
             named |= dict.fromkeys((*found.states, *found.reshaped), STATE)
+            self._called = {column: state for state, column in found.noise.items()}
+            named |= dict.fromkeys(self._called, ERROR)
+            ways = {column: f"{state}{_RATIOS}" for column, state in self._called.items()}
             named[found.quantity] = QUANTITY
             roles = {n: named.get(n, UNUSED) for n in columns.names}
             self._reshaped = () if found.quantity else found.reshaped
             own = {n: bracketed_unit(n) for n in columns.names}
             units = {**own, found.time: table.trajectories[0].time_unit or own[found.time]}
         self._runs = _counted_in(table.trajectories, units.get(found.time, ""))
+        sums = [n for n in columns.names if roles.get(n) == SUM]
+        if unsaid := [name for name in sums if not ways.get(name)]:
+            raise InputError(f"column {unsaid[0]!r} is a sum; type of which states, such as S + I")
+        self._sums = {found.renamed.get(name, name): ways[name] for name in sums}
+        self._states = read_sums(self._runs, self._sums)[0].states
         self._units = {
             name: units[own]
             for own, name in {**found.renamed, found.time: "t"}.items()
@@ -201,12 +246,45 @@ class Work:
         self._doses = {found.renamed.get(s, s): clean_dose(text) for s, text in asked.items()}
         given = ways
         ways = {n: described.hold.get(found.renamed.get(n, ""), "") for n in found.inputs}
-        ways |= {column: given.get(column) or state for state, column in found.doses.items()}
+        of_states = {**found.doses, **found.noise}
+        ways |= {column: given.get(column) or state for state, column in of_states.items()}
+        ways |= {name: given[name] for name in sums}
         return {
-            **_describe(columns, roles, units, ways),
+            **self._describe(columns, replace(said, roles=roles, units=units, ways=ways)),
             "guess": table.guess,
             "seen": _seen(described),
-            "states": list(self._runs[0].states),
+            "states": list(self._states),
+            "runs": len(self._names),
+        }
+
+    def _describe(self, columns: Columns, said: _Said) -> dict[str, Any]:
+        """Give what the page shows of columns: names, roles, what is said, and the first rows."""
+        shown_names = columns.names[:_MOST_COLUMNS]
+        kinds = {"f": "number", "M": "date", "m": "duration"}
+        roles = said.roles or {}
+        return {
+            "rows": len(columns.values[0]),
+            "hidden": len(columns.names) - len(shown_names),
+            "columns": [
+                {
+                    "name": name,
+                    "kind": kinds.get(values.dtype.kind, "text"),
+                    "role": roles.get(name, UNUSED),
+                    "unit": said.units.get(name, ""),
+                    "way": said.ways.get(name, ""),
+                    "error": said.errors.get(name, ""),
+                    "limit": said.limits.get(name, ""),
+                    "open": bool(name in columns.limits and _is_open(columns.limits[name])),
+                    "called": self._called.get(name, ""),
+                    "cells": _cells(values[:_PREVIEW_ROWS], columns.limits.get(name)),
+                }
+                for name, values in zip(shown_names, columns.values, strict=False)
+            ],
+            "loaded": list(columns.notes),
+            "guess": "",
+            "seen": [],
+            "states": [],
+            "runs": 0,
             "error": "",
         }
 
@@ -223,13 +301,14 @@ class Work:
             raise InputError("there are no data to search; drop a file first")
         self._found = None
         settings = self._read_options(options)
-        watch = Live(self._runs[0].states, self._say)
+        watch = Live(self._states, self._say)
         with _heard() as notes:
             found = discover(
                 list(self._runs),
                 jobs=self._jobs,
                 progress=watch,
                 doses=self._doses or None,
+                observed=self._sums or None,
                 **settings,
             )
         self._take(found, notes)
@@ -247,19 +326,28 @@ class Work:
         asked |= {"column_units": asked["units"]} if "units" in asked else {}
         known = {n: asked[n] for n in _OF_RECORD if n in asked}
         exprs = {state: parse(text) for state, text in formulas.items()}
-        self._take(keep_formulas(exprs, self._parts(), **known), [])
+        found = keep_formulas(exprs, self._parts(), **known)
+        if odd := [
+            n for n in arguments_of(found.equations) if n not in found.trajectories[0].names
+        ]:
+            raise InputError(
+                f"the best so far contains {odd[0]!r}, which only a whole search determines; "
+                "search again"
+            )
+        self._take(found, [])
 
     def restore(self) -> None:
         """Take again what was found by a process that was ended by force later."""
-        found = next_to_data(Discovery.load(self._folder / _KEPT), self._parts())
-        self._take(found, [])
+        found = Discovery.load(self._folder / _KEPT)
+        # Very many data are not kept.
+        self._take(found if found.trajectories else next_to_data(found, self._parts()), [])
 
     def _parts(self) -> list[Trajectory]:
-        """Give the trajectories as a search has them: cut where doses are given."""
-        return cut_at_doses(self._runs, self._doses or None)
+        """Give the trajectories as a search has them: cut at doses, with the states of sums."""
+        return read_sums(cut_at_doses(self._runs, self._doses or None), self._sums)
 
     def _read_options(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        settings = read_options(options, self._runs[0].states)
+        settings = read_options(options, self._states)
         if options.get("units"):
             if not self._units:
                 raise InputError("no column has a unit; type one below its name")
@@ -268,7 +356,9 @@ class Work:
 
     def _take(self, found: Discovery, notes: Sequence[str]) -> None:
         self._found = found
-        found.save(self._folder / _KEPT)
+        # One that is complete would else stay in the place of one that is not.
+        shutil.rmtree(self._folder / _KEPT, ignore_errors=True)
+        keep(found, self._folder / _KEPT)
         count = len(found.carried)
         names = self._names if len(self._names) == count else [str(i + 1) for i in range(count)]
         more = {"notes": list(dict.fromkeys(notes)), "runs": names}
@@ -311,13 +401,17 @@ class Work:
         found = self._found.with_constants(values) if values else self._found
         chosen = found.carried[run % len(found.carried)]
         every = max(1, len(chosen) // _MOST_ROWS)
-        thin = chosen.select(slice(_MOST_STEPS) if found.is_map else chosen.every(every))
+        rows = slice(_MOST_STEPS) if found.is_map else chosen.every(every)
+        thin = chosen.select(rows)
         lines, said = write_lines(found.equations, found.settings), ""
+        # Steps by chance, and a history, are those of all rows.
+        whole = bool(found.diffusion or found.delays)
         try:
-            model = _follow(found, thin)
+            curve = _follow(found, chosen if whole else thin)
+            curve = curve.select(rows) if whole else curve
         except DynsrError as error:
-            model, said = None, one_line(error)
-        svg = _draw(thin, model)
+            curve, said = None, one_line(error)
+        svg = _draw(thin, curve)
         moved = {state: list(own) for state, own in values.items()}
         content = {"svg": svg, "run": run, "lines": lines, "said": said, "values": moved}
         self._say("picture", content)
@@ -325,7 +419,58 @@ class Work:
 
 # Behind the state of doses: they are divided by a volume that is fitted.
 _BY_VOLUME = "/V"
-_ROLES = (TIME, TRAJECTORY, QUANTITY, STATE, INPUT, DOSE, UNUSED)
+# Behind the state of errors: they say how rows differ, and not how large errors are.
+_RATIOS = "*"
+_MEASURED = (STATE, SUM)
+_ROLES = (TIME, TRAJECTORY, QUANTITY, *_MEASURED, INPUT, DOSE, ERROR, UNUSED)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What the page says of columns: column -> its role, its unit, and so on.
+
+    ``roles`` is None where they are guessed. What is empty is not there.
+    """
+
+    roles: Mapping[str, str] | None
+    units: Mapping[str, str]
+    ways: Mapping[str, str]
+    errors: Mapping[str, str]
+    limits: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        roles: Mapping[str, str] | None,
+        *more: Mapping[str, str] | None,
+    ) -> _Said:
+        """Take what is said of columns that there are."""
+        return cls(
+            roles,
+            *(
+                {n: own[n].strip() for n in names if own.get(n, "").strip()}
+                for own in (one or {} for one in more)
+            ),
+        )
+
+
+def _errors_of(
+    columns: Sequence[str], states: Sequence[str], ways: Mapping[str, str]
+) -> dict[str, str]:
+    """Give state -> column of its errors, but for those of which only ratios are known.
+
+    These are found by their names. Where the page named no state it is the first.
+    """
+    found: dict[str, str] = {}
+    for name in columns:
+        state = ways.get(name) or next(iter(states), "")
+        if state in found:
+            both = f"columns {found[state]!r} and {name!r} are both errors of {state!r}"
+            raise InputError(f"{both}; choose one")
+        if not state.endswith(_RATIOS):
+            found[state] = name
+    return found
 
 
 def _given_to(
@@ -376,7 +521,9 @@ def _is_number(columns: Columns, name: str) -> bool:
 
 def _seen(found: Description) -> list[str]:
     """Say what is not used and why, and what was noticed or looks odd."""
-    unused = [f"{name!r} is left out: {why}" for name, why in found.left_out.items()]
+    errors = found.noise.values()
+    rest = {name: why for name, why in found.left_out.items() if name not in errors}
+    unused = [f"{name!r} is left out: {why}" for name, why in rest.items()]
     return [*unused, *found.notes]
 
 
@@ -387,34 +534,25 @@ def _counted_in(runs: Sequence[Trajectory], unit: str) -> list[Trajectory]:
     return [replace(run, origin={**run.origin, "time_unit": unit}) for run in runs]
 
 
-def _describe(
-    columns: Columns,
-    roles: Mapping[str, str],
-    units: Mapping[str, str],
-    ways: Mapping[str, str],
-) -> dict[str, Any]:
-    """Give what the page shows of columns: names, roles, units and the first rows."""
-    shown_names = columns.names[:_MOST_COLUMNS]
-    kinds = {"f": "number", "M": "date", "m": "duration"}
-    return {
-        "rows": len(columns.values[0]),
-        "hidden": len(columns.names) - len(shown_names),
-        "columns": [
-            {
-                "name": name,
-                "kind": kinds.get(values.dtype.kind, "text"),
-                "role": roles.get(name, UNUSED),
-                "unit": units.get(name, ""),
-                "way": ways.get(name, ""),
-                "cells": [_cell(value) for value in values[:_PREVIEW_ROWS]],
-            }
-            for name, values in zip(shown_names, columns.values, strict=False)
-        ],
-        "loaded": list(columns.notes),
-        "guess": "",
-        "seen": [],
-        "states": [],
-    }
+def _is_open(limits: Limits) -> bool:
+    """Whether a cell says that a state was below a limit that is not written."""
+    return bool(np.isinf(limits.below).any())
+
+
+def _cells(values: np.ndarray, limits: Limits | None) -> list[str]:
+    """Write the first cells of a column; those beyond a limit as such."""
+    if limits is None:
+        return [_cell(value) for value in values]
+    ends = zip(values, limits.below, limits.above, strict=False)
+    return [_cell_within(value, float(low), float(high)) for value, low, high in ends]
+
+
+def _cell_within(value: Any, below: float, above: float) -> str:
+    if np.isinf(below):
+        return "below a limit"
+    if np.isfinite(below):
+        return f"<{below:.6g}"
+    return f">{above:.6g}" if np.isfinite(above) else _cell(value)
 
 
 def _cell(value: Any) -> str:
@@ -434,6 +572,8 @@ def read_options(options: Mapping[str, Any], states: Sequence[str]) -> dict[str,
 
     >>> read_options({"preset": "quick", "second_order": True, "time_budget": "30"}, ["x"])
     {'preset': 'quick', 'order': 2, 'time_budget': 30.0}
+    >>> read_options({"vary": "*", "delays": "1.5"}, ["x"])
+    {'vary': True, 'delays': [1.5]}
     """
     found: dict[str, Any] = {}
     for name, value in options.items():
@@ -451,8 +591,13 @@ def read_options(options: Mapping[str, Any], states: Sequence[str]) -> dict[str,
             found[name] = _names(name, value)
         elif name in ("terms", "conserved"):
             found[name] = [part.strip() for part in str(value).split(",") if part.strip()]
-        elif name in ("preset", "scheme"):
+        elif name in ("preset", "scheme", "hidden"):
             found[name] = str(value)
+        elif name == "vary":
+            found[name] = True if value == _BY_DATA else [str(value)]
+        elif name == "delays":
+            parts = str(value).split(",")
+            found[name] = True if value == _BY_DATA else [_number("delay", one) for one in parts]
         else:
             raise InputError(f"unknown option {quoted(name)}; load the page again")
     return found
@@ -590,12 +735,18 @@ def show_found(found: Discovery) -> dict[str, Any]:
                 "fitted": one.fitted_text,
                 "interval": one.interval_text,
                 "unit": unit,
+                "fixed": one.fixed,
             }
             for state, own in found.constants.items()
             for one, name, unit in zip(own, found.constant_names[state], units[state], strict=True)
         ],
         "left": left,
         "units": "column_units" in found.settings,
+        "facts": list(_say_facts(found)),
+        "moving": list(_say_moving(found)),
+        "by_run": _as_shown(list_by_run(found)),
+        "noise": list(found.noise_notes.values()),
+        "steps": steps.svg if (steps := show_noise(found)) else "",
         "latex": found.latex(),
         "python": found.to_python(),
         "points": [point.text for point in list_fixed_points(found)],
@@ -616,19 +767,64 @@ def _without(begin: str, text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _follow(found: Discovery, run: Trajectory) -> Trajectory:
-    """Integrate the equations over a run from its first row."""
-    start = [run.x[0, run.index(state)] for state in found.equations]
-    inputs = inputs_in(run, found.equations) if found.is_map else found.inputs_of(run)
-    return found.simulate(np.asarray(start), run.t, inputs)
+def _say_facts(found: Discovery) -> Iterator[str]:
+    """Say what was found that neither equations nor tables have."""
+    for delay in found.delays.values():
+        yield f"{delay.text}."
+    yield from found.volume_notes
+    # A table of constants says these too.
+    if not found.by_run.constants:
+        yield from found.by_run.sentences
 
 
-def _draw(run: Trajectory, model: Trajectory | None) -> str:
+def _say_moving(found: Discovery) -> Iterator[str]:
+    """Say what is done with the equations where constants are moved, if it is anything special."""
+    if found.diffusion:
+        yield "The picture has one path with noise in the motion, and the band of 95 % of paths."
+    if found.delays:
+        yield "What was before the first row is read from the data."
+    if found.hidden:
+        yield f"Nobody measured {', '.join(found.hidden)}: the curve begins at its fitted start."
+    if found.by_run.constants:
+        names = ", ".join(found.by_run)
+        yield f"No slider moves {names}: the picture uses the values of the trajectory it shows."
+
+
+def _as_shown(table: Table | None) -> dict[str, Any] | None:
+    """Give a table as the page shows it: heads, cells and what is to be known of it."""
+    if table is None:
+        return None
+    return {"head": table.columns, "rows": table.rows, "note": table.note}
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """What equations do over a run, and the band around it where chance acts on it."""
+
+    model: Trajectory
+    bands: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+    def select(self, rows: slice | np.ndarray) -> _Curve:
+        """Give the curve at some rows."""
+        bands = {s: (low[rows], high[rows]) for s, (low, high) in self.bands.items()}
+        return _Curve(self.model.select(rows), bands)
+
+
+def _follow(found: Discovery, run: Trajectory) -> _Curve:
+    """Integrate the equations over a run from its first row, or draw paths where chance acts."""
+    alone = replace(found, trajectories=(run,))
+    return _Curve(*alone.path_and_band()) if found.diffusion else _Curve(alone.simulate(), {})
+
+
+def _draw(run: Trajectory, curve: _Curve | None) -> str:
     words = "the data"
-    if model is not None:
-        run = run.of_states([state for state in run.states if state in model.states])
-        words = "the data, and the equations integrated from the first row"
-    return Picture.of(draw_states(run, model), words).svg
+    if curve is None:
+        return Picture.of(draw_states(run), words).svg
+    run = run.of_states([state for state in run.states if state in curve.model.states])
+    words += ", and the equations integrated from the first row"
+    if curve.bands:
+        words += " with noise in the motion: one path, and the band of 95 % of such paths"
+    return Picture.of(draw_states(run, curve.model, curve.bands), words).svg
 
 
 def _at_a_glance(run: Trajectory) -> Trajectory:

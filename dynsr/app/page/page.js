@@ -62,9 +62,26 @@ const upload = async file => {
     if (!answer.ok) complain((await answer.json().catch(() => ({}))).error || "the file was refused");
   } catch { complain("the file could not be sent; is dynsr still running?"); }
 };
-const ROLES = { time: "time", state: "state", input: "input", dose: "doses of a state", trajectory: "names the run", quantity: "names the quantity", unused: "not used" };
+const ROLES = { time: "time", state: "state", input: "input", sum: "sum of states", error: "errors of a state", dose: "doses of a state", trajectory: "names the run", quantity: "names the quantity", unused: "not used" };
+const isMeasured = column => ["state", "sum"].includes(column.role);
 const HOLDS = { previous: "keeps its value between rows", linear: "straight between rows", smooth: "smooth between rows" };
 
+// What a reader has to know of the fields of a column, where there are any.
+const HELP = {
+  error: "error: how far values are from the truth, as your instrument says: a number in the unit of the column, or a per cent. Empty: the data show it.",
+  limit: "limit: cells without a number, such as BDL, say that the value is below it. Without the limit they count as empty.",
+  errors: "errors of a state: standard deviations say how large errors are; ratios say only how they differ from row to row.",
+  sum: "sum of states: the column is the sum of states, such as S + I, of which one has no column of its own.",
+};
+const field = (column, j, name, given, ask) => {
+  const made = make("input", { id: `${name}-${j}`, value: column[name], maxLength: 80, ...given });
+  made.addEventListener("change", async () => {
+    if (!await mayLose("Change the column")) { made.value = column[name]; return; }
+    column[name] = made.value.trim();
+    ask();
+  });
+  return made;
+};
 const showTable = table => {
   show("table", table);
   if (!table) return;
@@ -73,9 +90,8 @@ const showTable = table => {
   list("notes", [...table.loaded, ...table.notes.filter(note => !table.loaded.includes(note))]);
   const focused = document.activeElement && document.activeElement.id;
   const changed = () => {
-    const roles = {}, units = {}, ways = {};
-    for (const column of table.columns) { roles[column.name] = column.role; units[column.name] = column.unit; ways[column.name] = column.way; }
-    post("columns", { roles, units, ways });
+    const said = kind => Object.fromEntries(table.columns.map(column => [column.name, column[kind]]));
+    post("columns", { roles: said("role"), units: said("unit"), ways: said("way"), errors: said("error"), limits: said("limit") });
   };
   const heads = table.columns.map((column, j) => {
     const role = make("select", { id: `role-${j}`, ariaLabel: `Role of ${column.name}` },
@@ -88,32 +104,50 @@ const showTable = table => {
       column.way = "";
       changed();
     });
-    const unit = make("input", { id: `unit-${j}`, value: column.unit, placeholder: "unit", ariaLabel: `Unit of ${column.name}`, maxLength: 40 });
-    unit.addEventListener("change", async () => {
-      if (!await mayLose("Change the unit")) { unit.value = column.unit; return; }
-      column.unit = unit.value.trim();
-      changed();
-    });
-    unit.hidden = ["unused", "trajectory", "quantity", "dose"].includes(column.role);
-    const states = table.columns.filter(other => other.role === "state").flatMap(other => [
-      [other.name, `added to ${other.name}`],
-      [`${other.name}/V`, `divided by a volume V that is fitted, added to ${other.name}`],
-    ]);
-    const ways = { input: Object.entries(HOLDS), dose: states }[column.role] || [];
-    const way = make("select", { id: `way-${j}`, className: "way", ariaLabel: `${column.role === "dose" ? "State of the doses" : "Between rows"}: ${column.name}`, hidden: !ways.length },
+    const fields = [];
+    if (!["unused", "trajectory", "quantity", "dose", "error"].includes(column.role))
+      fields.push(field(column, j, "unit", { placeholder: "unit", ariaLabel: `Unit of ${column.name}` }, changed));
+    const measured = isMeasured(column);
+    // Errors that are in a column are said there.
+    const apart = table.columns.some(other => other.role === "error" && other.way.replace(/\*$/, "") === column.name);
+    if (measured && !apart) fields.push(field(column, j, "error", { placeholder: "error: 0.1 or 5 %", ariaLabel: `Known error of ${column.name}` }, changed));
+    if (measured && column.open) fields.push(field(column, j, "limit", { placeholder: "limit", ariaLabel: `Limit of ${column.name}` }, changed));
+    if (column.role === "sum") fields.push(field(column, j, "way", { placeholder: "S + I", ariaLabel: `States whose sum is ${column.name}` }, changed));
+    const states = table.columns.filter(isMeasured);
+    const ways = {
+      input: Object.entries(HOLDS),
+      dose: states.flatMap(other => [
+        [other.name, `added to ${other.name}`],
+        [`${other.name}/V`, `divided by a volume V that is fitted, added to ${other.name}`],
+      ]),
+      error: states.flatMap(other => [
+        ...(column.called === other.name ? [[`${other.name}*`, `ratios, of ${other.name}`]] : []),
+        [other.name, `standard deviations, of ${other.name}`],
+      ]),
+    }[column.role] || [];
+    const what = { dose: "State of the doses", error: "State of the errors" }[column.role] || "Between rows";
+    const way = make("select", { id: `way-${j}`, className: "way", ariaLabel: `${what}: ${column.name}` },
       ...ways.map(([value, words]) => make("option", { value, selected: value === column.way }, words)));
     way.addEventListener("change", async () => {
       if (!await mayLose("Change the column")) { way.value = column.way; return; }
       column.way = way.value;
       changed();
     });
-    return make("th", { className: column.role, scope: "col" }, column.name, role, unit, ...(ways.length ? [way] : []));
+    return make("th", { className: column.role, scope: "col" }, column.name, role, ...fields, ...(ways.length ? [way] : []));
   });
   $("columns").tHead.replaceChildren(make("tr", {}, ...heads));
   const count = Math.max(0, ...table.columns.map(column => column.cells.length));
   $("columns").tBodies[0].replaceChildren(...Array.from({ length: count }, (_, i) =>
     make("tr", {}, ...table.columns.map(column => make("td", { className: column.role }, column.cells[i])))));
   $("rows").textContent = `The first ${count} of ${table.rows} rows.` + (table.hidden ? ` ${table.hidden} more columns are not shown, and not used once a role is changed.` : "");
+  const measured = table.columns.filter(isMeasured);
+  list("help", [
+    ...(measured.length ? [HELP.error] : []),
+    ...(measured.some(column => column.open) ? [HELP.limit] : []),
+    ...(table.columns.some(column => column.role === "error") ? [HELP.errors] : []),
+    ...(measured.some(column => column.role === "sum") ? [HELP.sum] : []),
+  ]);
+  showVary(table);
   if (focused && $(focused)) $(focused).focus();
 };
 
@@ -127,12 +161,22 @@ const showChoices = choices => {
   $("functions").replaceChildren(...choices.functions.map(name =>
     make("label", { className: "tick" }, make("input", { type: "checkbox", name: "function", value: name, disabled: !$("own").checked }), name)));
 };
+// With one run there is nothing that could differ.
+const showVary = table => {
+  const choice = document.forms.options.elements.vary, before = choice.value;
+  show("vary", table.runs > 1);
+  const some = table.states.length > 1 ? table.states.map(state => [state, `some in the equation of ${state} may differ`]) : [];
+  choice.replaceChildren(...[["", "all constants are shared"], ["*", "some constants may differ"], ...some].map(([value, words]) => make("option", { value }, words)));
+  choice.value = table.runs > 1 && [...choice.options].some(one => one.value === before) ? before : "";
+};
 const readOptions = () => {
   const form = $("options"), options = {};
-  for (const name of ["scheme", "time_budget", "max_complexity", "terms", "conserved", "seed"]) {
+  for (const name of ["scheme", "time_budget", "max_complexity", "terms", "conserved", "seed", "vary", "hidden", "delays"]) {
     const value = form.elements[name].value.trim();
     if (value) options[name] = value;
   }
+  if (options.delays === "about") options.delays = form.elements.delay.value.trim() || "*";
+  options.stochastic = form.elements.stochastic.value === "yes";
   for (const name of ["snap", "nonnegative", "units", "second_order", "explicit_time", "discrete"]) options[name] = form.elements[name].checked;
   const preset = form.querySelector("[name=preset]:checked");
   if (preset) options.preset = preset.value;
@@ -210,6 +254,7 @@ const showFound = (found, fresh) => {
   show("found", found);
   show("code", found);
   show("goes", found && (found.points.length || found.flow));
+  for (const id of ["by-run", "noise"]) show(id, false);
   clearTimeout(waiting);
   waiting = 0;
   asked = null;
@@ -219,14 +264,29 @@ const showFound = (found, fresh) => {
   list("said-found", found.notes);
   $("equations").replaceChildren(...found.equations.map(one => card(one, one.level, one.why)));
   $("python").textContent = found.python;
+  list("facts", found.facts);
+  $("moving").textContent = found.moving.join(" ");
+  show("by-run", found.by_run);
+  if (found.by_run) {
+    const [head, body] = [$("by-run").querySelector("thead"), $("by-run").querySelector("tbody")];
+    head.replaceChildren(make("tr", {}, ...found.by_run.head.map(name => make("th", { scope: "col" }, name))));
+    body.replaceChildren(...found.by_run.rows.map(row => make("tr", {}, ...row.map(cell => make("td", {}, cell)))));
+    $("by-run-note").textContent = found.by_run.note;
+  }
+  show("noise", found.noise.length);
+  list("noise-notes", found.noise);
+  $("steps").innerHTML = found.steps;
   list("points", found.points);
   $("flow").innerHTML = found.flow;
   $("branches").innerHTML = found.branches ? found.branches.svg : "";
   $("branches-words").textContent = found.branches ? found.branches.caption : "";
   $("exports").replaceChildren(...found.exports.map(one => make("a", { className: "button", href: one.file, download: "" }, one.title)));
   sliders = found.constants.map(one => slider(one, found.left, found.units));
-  $("rows-of-constants").replaceChildren(...sliders.flatMap(one => one.rows));
-  show("constants", sliders.length);
+  // A sign, or the factor of a hidden state, was chosen and not fitted.
+  const movable = sliders.filter((_, i) => !found.constants[i].fixed).flatMap(one => one.rows);
+  $("rows-of-constants").replaceChildren(...movable);
+  show("constants", movable.length || found.moving.length);
+  for (const one of document.querySelectorAll("#constants > :is(.scroll, .hint)")) one.hidden = !movable.length;
   show("reset", false);
   show("runs", found.runs.length > 1);
   $("run").replaceChildren(...found.runs.map((name, j) => make("option", { value: j }, name)));
@@ -292,6 +352,9 @@ for (const name of ["dragover", "dragleave", "drop"]) {
     if (name === "drop" && event.dataTransfer.files[0]) upload(event.dataTransfer.files[0]);
   });
 }
+document.forms.options.elements.delays.addEventListener("change", event => {
+  document.forms.options.elements.delay.hidden = event.target.value !== "about";
+});
 $("own").addEventListener("change", () => { for (const box of document.querySelectorAll("[name=function]")) box.disabled = !$("own").checked; });
 $("example").addEventListener("click", () => { complain(""); post("example"); });
 $("options").addEventListener("submit", async event => {
