@@ -226,6 +226,28 @@ def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_s
     assert "x_delayed" in page
 
 
+def test_the_report_draws_what_follows_from_the_history_alone(tmp_path, monkeypatch):
+    """The curve of a report is that of the method of steps, which reads no row after the first."""
+    from dynsr.report import discovery as reports
+
+    curves, draw = [], reports.draw_states
+
+    def note(run, model=None, bands=None):
+        curves.append(model)
+        return draw(run, model, bands)
+
+    monkeypatch.setattr(reports, "draw_states", note)
+    (own,) = Delayed.of([as_run(hutchinson(0.01))], DelaySettings()).columns(1.6, 1.6)
+    delays = {"x_delayed": Delay("x", 1.6, 0.01, 1.58, 1.62)}
+    # The true factors are 1.2 and 0.6.
+    equations, errors = {"x": 1.1 * X - 0.6 * X * BEFORE}, {"x": ((1.1, 0.01), (-0.6, 0.01))}
+    found = Discovery(equations, errors, {"x": ParetoFront()}, {}, (own,), delays=delays)
+    found.report(tmp_path / "page.html")
+    assert curves[0].x == pytest.approx(found.simulate().x)
+    # In the rows of the data the same equations stay near them.
+    assert np.std(curves[0].x - own.x) > 0.3 * np.std(own.x)
+
+
 def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     """Of the sums that a delay was fitted with, the first has the two terms of the law."""
     delayed = Delayed.of([as_run(hutchinson())], DelaySettings(minima=1))

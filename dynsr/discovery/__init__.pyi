@@ -9,7 +9,7 @@ from .free_parts import FreePart, FreeParts, FreeSettings
 from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
 from .intervals import Constant, write_interval
-from .maps import inputs_in, iterate, pair_rows, write_map_latex, write_map_mathml
+from .maps import iterate, pair_rows, write_map_latex, write_map_mathml
 from .orders import write_lines
 from .parameters import Parameter, Parameters, ParametricSystem
 from .prediction import predict
@@ -77,7 +77,6 @@ __all__ = [
     "equation_rmse",
     "explain_order",
     "identifiability",
-    "inputs_in",
     "is_own_data",
     "is_own_record",
     "iterate",

@@ -6,7 +6,7 @@ import itertools
 import math
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -31,14 +31,11 @@ from dynsr.discovery import (
     Parameter,
     StateVerdict,
     cells_of,
-    inputs_in,
-    iterate,
     name_windows,
     pair_rows,
-    predict,
     write_map_mathml,
 )
-from dynsr.engines import FixedPoint
+from dynsr.engines import DEFAULT_ENGINE, FixedPoint
 from dynsr.errors import DynsrError, InputError
 from dynsr.export import Source, list_formats, pack_format
 from dynsr.expression import (
@@ -746,11 +743,8 @@ def _simulate(found: Discovery, run: Trajectory) -> Trajectory | None:
     """Integrate from the run's first row; None where the equations diverge or need more states."""
     if set(found.equations) != set(run.states):
         return None
-    start = [run.x[0, run.index(state)] for state in found.equations]
     try:
-        if found.is_map:
-            return iterate(found.equations, start, run.t, inputs_in(run, found.equations))
-        return predict(found.equations, start, run.t, found.inputs_of(run), found.engine)
+        return replace(found, trajectories=(run,)).simulate()
     except DynsrError:
         return None
 
@@ -764,13 +758,12 @@ def _bands(found: Discovery, run: Trajectory) -> Bands:
     if found.is_map or all(error <= _INVISIBLE * abs(value) for value, error in known):
         return {}
     rng = np.random.default_rng(0)
-    start = [run.x[0, run.index(state)] for state in found.equations]
-    inputs = found.inputs_of(run)
     curves = []
     for _ in range(_DRAWS):
         drawn = {s: _draw(e, found.errors.get(s, ()), rng) for s, e in found.equations.items()}
         try:
-            curves.append(predict(drawn, start, run.t, inputs).x)
+            alone = replace(found, equations=drawn, trajectories=(run,))
+            curves.append(alone.simulate(engine=DEFAULT_ENGINE).x)
         except DynsrError:
             continue
     if len(curves) < _DRAWS // 2:
