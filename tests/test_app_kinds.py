@@ -20,10 +20,10 @@ from dynsr.fit import ParetoFront
 QUICK = {"preset": "quick", "functions": []}
 
 
-def write_table(folder, columns):
+def write_table(folder, columns, name="a"):
     """Write columns, of numbers and of words, as a table; gives the file."""
     rows = zip(*(map(str, own) for own in columns.values()), strict=True)
-    path = folder / "a.csv"
+    path = folder / f"{name}.csv"
     path.write_text("\n".join([",".join(columns), *map(",".join, rows)]))
     return str(path)
 
@@ -323,6 +323,20 @@ def test_errors_in_a_column_keep_their_role(desk, asked):
     assert desk.change(errors={"S": "much"})["error"].startswith("no column 'much' for the noise")
     both = desk.change(roles={"S_sd": "error", "total": "error"}, errors={"S": ""})
     assert both["error"] == "columns 'S_sd' and 'total' are both errors of 'S'; choose one"
+
+
+def test_only_a_column_that_is_a_state_has_fields_for_errors(desk):
+    """States that are quantities, or runs side by side, have no column for errors or a limit."""
+    falls, rises = [0.9**k for k in range(20)], [1.1**k for k in range(20)]
+    long = {"variable": ["S"] * 20 + ["P"] * 20, "t": [*range(20), *range(20)]}
+    table = desk.look({**long, "value": falls + rises})
+    assert (table["states"], desk.column("value")["own"]) == (["S", "P"], False)
+    desk.path = write_table(desk.folder, {"t": range(20), "x_rep1": falls, "x_rep2": rises}, "b")
+    desk.read(desk.path)
+    assert [desk.column(f"x_rep{k}")["own"] for k in (1, 2)] == [False, False]
+    # Where nothing is a state, that is what is said.
+    nothing = dict.fromkeys(("x_rep1", "x_rep2"), "error")
+    assert "no column left for a state" in desk.change(roles=nothing)["error"]
 
 
 def test_cells_below_a_limit_count_as_such(desk, asked):

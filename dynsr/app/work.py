@@ -262,6 +262,8 @@ class Work:
         shown_names = columns.names[:_MOST_COLUMNS]
         kinds = {"f": "number", "M": "date", "m": "duration"}
         roles = said.roles or {}
+        # States of quantities, and of runs side by side, have no columns of their own.
+        apart = columns.names if QUANTITY in roles.values() else self._reshaped
         return {
             "rows": len(columns.values[0]),
             "hidden": len(columns.names) - len(shown_names),
@@ -274,6 +276,7 @@ class Work:
                     "way": said.ways.get(name, ""),
                     "error": said.errors.get(name, ""),
                     "limit": said.limits.get(name, ""),
+                    "own": name not in apart,
                     "open": bool(name in columns.limits and _is_open(columns.limits[name])),
                     "called": self._called.get(name, ""),
                     "cells": _cells(values[:_PREVIEW_ROWS], columns.limits.get(name)),
@@ -463,8 +466,8 @@ def _errors_of(
     These are found by their names. Where the page named no state it is the first.
     """
     found: dict[str, str] = {}
-    for name in columns:
-        state = ways.get(name) or next(iter(states), "")
+    for name in columns if states else ():
+        state = ways.get(name) or states[0]
         if state in found:
             both = f"columns {found[state]!r} and {name!r} are both errors of {state!r}"
             raise InputError(f"{both}; choose one")

@@ -107,7 +107,7 @@ const showTable = table => {
     const fields = [];
     if (!["unused", "trajectory", "quantity", "dose", "error"].includes(column.role))
       fields.push(field(column, j, "unit", { placeholder: "unit", ariaLabel: `Unit of ${column.name}` }, changed));
-    const measured = isMeasured(column);
+    const measured = isMeasured(column) && column.own;
     // Errors that are in a column are said there.
     const apart = table.columns.some(other => other.role === "error" && other.way.replace(/\*$/, "") === column.name);
     if (measured && !apart) fields.push(field(column, j, "error", { placeholder: "error: 0.1 or 5 %", ariaLabel: `Known error of ${column.name}` }, changed));
@@ -140,7 +140,7 @@ const showTable = table => {
   $("columns").tBodies[0].replaceChildren(...Array.from({ length: count }, (_, i) =>
     make("tr", {}, ...table.columns.map(column => make("td", { className: column.role }, column.cells[i])))));
   $("rows").textContent = `The first ${count} of ${table.rows} rows.` + (table.hidden ? ` ${table.hidden} more columns are not shown, and not used once a role is changed.` : "");
-  const measured = table.columns.filter(isMeasured);
+  const measured = table.columns.filter(column => isMeasured(column) && column.own);
   list("help", [
     ...(measured.length ? [HELP.error] : []),
     ...(measured.some(column => column.open) ? [HELP.limit] : []),
