@@ -150,6 +150,23 @@ def test_the_error_of_the_rule_is_counted_in_exact_data(system, held):
     assert numbers == pytest.approx(system.constants, rel=1e-4)
 
 
+def test_constants_that_come_to_one_value_leave_the_error_of_the_delay():
+    """In exact data of a pipe both constants become 1.25, and are one from then on."""
+    rng, t = np.random.default_rng(3), np.linspace(0, 20, 101)
+    when = np.append(0, np.sort(rng.choice(t[1:-1], 9, replace=False)))
+    change, since = rng.normal(size=10), t[:, None] - when
+    y = (1 - np.exp(-np.maximum(since - 1, 0) / 0.8)) @ change
+    u = (since >= 0) @ change
+    run = Trajectory(t, y[:, None], ("y",), u[:, None], ("u",), hold={"u": "previous"})
+    delayed = Delayed.of([run], DelaySettings())
+    fit = delayed.fit({"y": 1.25 * BEFORE - 1.24 * Y}, 1.02, ComparisonSettings())
+    fine = delayed.measured(fit, ComparisonSettings())
+    assert (len(fit.fit.theta), len(fine.fit.theta)) == (3, 2)
+    own = fine.as_delay("u")
+    assert own.low < 1 < own.high
+    assert own.error < 1e-4
+
+
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("system", [PIPE, HEATER])
 @pytest.mark.parametrize("noise", [0.01, 0.05])

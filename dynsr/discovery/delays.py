@@ -487,6 +487,10 @@ class Delayed:
             again = fine.fit(last.equations, last.delay, comparison, last.delay, FIT.along)
             if again is None:
                 break
+            if len(again.fit.theta) < len(last.fit.theta):
+                # Constants that came to one value are one: the next step says how far they move.
+                last = again
+                continue
             moved = again.fit.theta - last.fit.theta
             errors = np.sqrt(np.diag(again.fit.covariance))
             last = replace(again, fit=replace(again.fit, rule=moved))
