@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import sympy
 from sympy.printing.c import C99CodePrinter, reserved_words_c99
@@ -12,12 +12,12 @@ from sympy.printing.fortran import FCodePrinter
 from sympy.printing.numpy import JaxPrinter, NumPyPrinter
 from sympy.printing.octave import OctaveCodePrinter
 from sympy.printing.precedence import PRECEDENCE
-from sympy.printing.pytorch import TorchPrinter
+from sympy.printing.pycode import AbstractPythonCodePrinter
 from sympy.printing.rcode import RCodePrinter
 from sympy.printing.rcode import reserved_words as reserved_words_r
 
 from dynsr.export.source import Source, Words, number, times
-from dynsr.expression import JULIA_WORDS, AllDigits, julia_code
+from dynsr.expression import FUNCTIONS, JULIA_WORDS, AllDigits, julia_code
 
 PYTHON: Words = Words((*keyword.kwlist, "__debug__", "self"), local=True, underscore=True)
 # What a module of torch is and has: a parameter of that name would take its place.
@@ -66,7 +66,14 @@ class _Jax(AllDigits, JaxPrinter):
     pass
 
 
-class _Torch(AllDigits, TorchPrinter):
+class _Torch(AllDigits, AbstractPythonCodePrinter):
+    # SymPy's own printer loads all of torch: a second and 200 MB for each report.
+    _kf: ClassVar[dict[str, str]] = {
+        one.sympy.__name__: f"torch.{one.torch}"
+        for one in FUNCTIONS.values()
+        if isinstance(one.sympy, type)
+    }
+
     def _print_Pow(self, expr: sympy.Pow, **_: Any) -> str:  # noqa: N802 (SymPy's protocol)
         # torch.pow takes no number for a base, and a root of a tensor is a power too.
         tightest = PRECEDENCE["Atom"]
