@@ -242,3 +242,14 @@ def test_the_report_lists_parameters_with_names(tmp_path):
     page = found.report(tmp_path / "report.html").read_text()
     assert "Each constant with its 95 % interval" in page and "bite*x*y" in page
     assert "<table>" in found.parameters._repr_html_()
+
+
+def test_constants_are_named_once(monkeypatch):
+    """All that is written of one discovery asks for their names, which takes long in large ones."""
+    named = []
+    monkeypatch.setattr(
+        "dynsr.discovery.result.name_constants", lambda e: named.append(e) or name_constants(e)
+    )
+    found = Discovery({"x": 2 * X - X**2}, {"x": ()}, {}, {})
+    assert found.system.parameters == found.parameters
+    assert found.to_python() and len(named) == 1

@@ -367,7 +367,7 @@ class Discovery:
         except InputError:  # a state of which nothing is known at the first time
             return None
 
-    @property
+    @cached_property
     def constant_names(self) -> Mapping[str, tuple[str, ...]]:
         """State -> the names of its constants in the order of :attr:`constants`.
 
