@@ -117,10 +117,10 @@ def test_what_is_fitted_is_the_sum_itself():
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 60 draws; errors of a state and of its sum with another are not taken for one."""
+    """Over 40 draws; errors of a state and of its sum with another are not taken for one."""
     truth = np.array([-0.5, 0.5, -0.1])
     inside = []
-    for seed in range(60):
+    for seed in range(40):
         data = Measurements.of([as_run(noise, seed)], {}, 2000)
         fit = fit_along(LAW, data)
         order = [float(c) for e in LAW.values() for c in e.atoms(sympy.Float)]

@@ -153,9 +153,9 @@ def test_a_constant_differs_with_a_label_of_the_runs():
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_intervals_by_run_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 40 draws of three runs, each with two constants of its own."""
+    """Over 20 draws of three runs, each with two constants of its own."""
     inside: list[bool] = []
-    for seed in range(40):
+    for seed in range(20):
         found = grown(noise, seed)
         names = {p.of: n for n, p in found.parameters.items()}
         varied = found.vary(list(names.values()))
