@@ -81,7 +81,9 @@ def usual() -> dict[str, Any]:
 
 
 # What makes a call with all else usual a short one.
-FEW_DELAYS = replace(DiscoverySettings(), delays=DelaySettings(grid=5, minima=1))
+FEW_DELAYS = replace(
+    DiscoverySettings(), delays=DelaySettings(grid=3, minima=1, sums=1, searched=1)
+)
 SHORT: dict[str, dict[str, Any]] = {
     "discover": {"preset": "quick", "jobs": 1, "method": "sindy", "settings": FEW_DELAYS},
     "bootstrap": {"members": 2},

@@ -315,7 +315,7 @@ def test_what_is_left_to_do_is_counted_to_its_end():
         lambda x, y: (-0.7 * x, 0.3 * x - y * np.abs(np.sin(8.7 * x * y)) ** 1.3),
         (2.0, 0.6),
         6.0,
-        150,
+        60,
         ("x", "y"),
     )
     steps = []

@@ -182,7 +182,7 @@ def test_a_pendulum_is_found_in_noise(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_a_predator_is_found_from_its_prey(noise):
     """The scale of the predator is chosen, 0.4 y here; the other constants are the true ones."""
     found = found_from_prey(noise)
@@ -191,9 +191,8 @@ def test_a_predator_is_found_from_its_prey(noise):
     assert terms(found.equations["x"]) == {X, X * Y}
     assert terms(found.equations["y"]) == {Y, X * Y}
     assert found.trajectories[0].x[:, 1].min() > 0
-    if noise:
-        assert holds(found, "x", "x", 1.1)
-        assert holds(found, "y", "x*y", 0.1) and holds(found, "y", "y", -0.4)
+    assert holds(found, "x", "x", 1.1)
+    assert holds(found, "y", "x*y", 0.1) and holds(found, "y", "y", -0.4)
 
 
 @pytest.mark.slow
@@ -342,12 +341,16 @@ def test_a_discovery_with_a_hidden_state_is_kept_whole(tmp_path):
 
 @pytest.mark.slow
 def test_huge_numbers_change_the_scale_alone(tmp_path):
-    """Prey counted in billions: the factor of the hidden state stays -1, the rates as they are."""
+    """Clean prey counted in billions: the factor of the hidden state stays -1, the rates as they
+    are, and the equations are a law.
+    """
     run_ = prey()
     data = Trajectory(run_.t, 1e9 * run_.x, ("x",))
     found = discover(data, hidden="y", jobs=1, out=tmp_path)
     assert Discovery.load(tmp_path / "discovery.json").equations == found.equations
+    assert found.verdict.level == "law"
     assert found.hidden == {"y": -X * Y}
+    assert terms(found.equations["y"]) == {Y, X * Y}
     rates = found.equations["x"].as_coefficients_dict()
     assert float(rates[X]) == pytest.approx(1.1, rel=1e-4)
     assert float(rates[X * Y]) == -1

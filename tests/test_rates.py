@@ -197,7 +197,7 @@ def test_what_two_states_exchange_is_found_from_both():
     }
     flux = "0.87*a^2*b - 3.5*a^4*c/(a^4 + 1.4) - 0.046*a"
     begun = {"a": flux, "b": f"-({flux}) - a^2*b", "c": truth["c"]}
-    data = measured(tuple(truth.items()), (1.28, 2.57, 2.95), 16.0, 300, 0.01)
+    data = measured(tuple(truth.items()), (1.28, 2.57, 2.95), 16.0, 150, 0.01)
     comparison = SystemComparison(data.mesh(tuple(truth)), SETTINGS)
     fit = comparison.fit({s: sympy.expand(e) for s, e in floats(begun).items()})
     found = renew(comparison, fit)

@@ -108,9 +108,10 @@ def watched(settings, seen, path=()):
     names = {field.name for field in fields(kind)}
 
     def read(self, name):
-        file = sys._getframe(1).f_code.co_filename
-        if name in names and file.startswith(str(SOURCE)) and "jobs" not in Path(file).parts:
-            seen.add((*path, name))
+        if name in names and (*path, name) not in seen:
+            file = sys._getframe(1).f_code.co_filename
+            if file.startswith(str(SOURCE)) and "jobs" not in Path(file).parts:
+                seen.add((*path, name))
         return object.__getattribute__(self, name)
 
     found = object.__new__(type(kind.__name__, (kind,), {"__getattribute__": read}))
