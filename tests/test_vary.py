@@ -198,6 +198,14 @@ def test_known_equations_are_fitted_to_each_run_before_anything_is_searched():
     assert [p.value for p in own] == pytest.approx([0.2, 0.3, 0.45], rel=0.02)
 
 
+def test_a_law_without_constants_has_none_that_differs():
+    """x' = x of two runs: nothing is left to fit, in any of them."""
+    t = np.linspace(0, 5, 40)
+    runs = [Trajectory(t, a * np.exp(t)[:, None], ("x",)) for a in (1.0, 2.0)]
+    found = discover(runs, vary=True, jobs=1, preset="quick", method="sindy")
+    assert found.equations == {"x": X} and not found.by_run.constants
+
+
 @pytest.mark.slow
 def test_runs_without_a_constant_that_differs_are_kept_in_one_folder(tmp_path):
     """Each search has a folder in it, and the law of all runs is the result of the folder."""

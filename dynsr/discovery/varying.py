@@ -665,17 +665,18 @@ def write_answer(study: Study, law: Law, names: Sequence[str]) -> Answer:
     def constants(theta: np.ndarray) -> dict[str, np.ndarray]:
         return {s: np.array(list(take_apart(e)[1].values())) for s, e in put(theta).items()}
 
-    own, turned = constants(fit.theta), dict[str, list[np.ndarray]]()
+    own = constants(fit.theta)
+    turned: dict[str, list[np.ndarray]] = {state: [] for state in own}
     # A product of two numbers is one constant: its error follows from theirs.
     for place in range(len(order)):
         moved = fit.theta.copy()
         moved[place] *= 1 + study.settings.step
         step = moved[place] - fit.theta[place]
         for state, values in constants(moved).items():
-            turned.setdefault(state, []).append((values - own[state]) / step)
+            turned[state].append((values - own[state]) / step)
     errors = {}
     for state, values in own.items():
-        slopes = np.array(turned[state])
+        slopes = np.array(turned[state]).reshape(len(order), len(values))
         with np.errstate(all="ignore"):
             spread = np.einsum("pi,pq,qi->i", slopes, fit.covariance, slopes)
         sizes = [math.sqrt(v) if v >= 0 and math.isfinite(v) else math.inf for v in spread]

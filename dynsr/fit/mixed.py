@@ -409,4 +409,4 @@ class MixedFit(ScaledFit):
         np.add.at(every, kind, slopes)
         owners = np.array([mesh.states.index(state) for state, _ in kinds], int)
         own = usual_scales(base, owners, every)[kind]
-        return np.min(np.where(self.ways > 0, own[:, None], np.inf), axis=0)
+        return np.min(np.where(self.ways > 0, own[:, None], np.inf), axis=0, initial=np.inf)
