@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import run
 
 from dynsr.checks import doctor
 from dynsr.cli.progress import SearchProgress
@@ -317,14 +318,7 @@ def test_a_long_stage_is_told_again(monkeypatch):
 def test_a_long_check_says_how_far_it_is(command):
     """On standard error, a line for what has ended; -q keeps silent, and the answer is the same."""
     less = ["--sections", "corrected", "--engines", "embedded"] if command == "crosscheck" else []
-    loud = subprocess.run(
-        [sys.executable, "-m", "dynsr", command, "--json", *less], capture_output=True, text=True
-    )
-    quiet = subprocess.run(
-        [sys.executable, "-m", "dynsr", command, "--json", "-q", *less],
-        capture_output=True,
-        text=True,
-    )
+    loud, quiet = (run(command, "--json", *asked, *less) for asked in ((), ("-q",)))
     assert re.search(r"\[\d+/\d+\]", loud.stderr) and quiet.stderr == ""
     assert loud.stdout == quiet.stdout and loud.stdout.startswith("[")
 

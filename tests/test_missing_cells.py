@@ -394,7 +394,7 @@ def test_two_sources_are_searched_as_one():
     """discover([online, offline]) finds the law of both, though their clocks differ."""
     own = np.arange(4, 201, 7)
     slow = pd.DataFrame({"t": T[own], "y": TRUE[own, 1]})
-    found = discover([online(x=TRUE[:, 0]), slow], jobs=1)
+    found = discover([online(x=TRUE[:, 0]), slow], jobs=1, preset="quick")
     assert {s: str(e) for s, e in found.equations.items()} == {
         "x": "-0.4*x*y + 1.1*x",
         "y": "0.1*x*y - 0.4*y",

@@ -70,10 +70,18 @@ def check_end(done, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["full", "gone"])
-@pytest.mark.parametrize("option", [(), ("-q",), ("--json",), ("--details",)])
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    [
+        *[("full", option) for option in ((), ("-q",), ("--json",), ("--details",))],
+        ("gone", ()),
+    ],
+)
 def test_a_discovery_is_saved_whatever_becomes_of_its_output(kind, option, data, tmp_path):
-    """The result and its report are there, whether anybody reads the equations or not."""
+    """The result and its report are there, whether anybody reads the equations or not.
+
+    Each option has a printer of its own; all of them learn in one place what became of the output.
+    """
     done = run_into(kind, "discover", data, *SMALL, *option, "-o", tmp_path / "out")
     check_end(done, kind)
     assert str(Discovery.load(tmp_path / "out" / "discovery.json")).endswith("\nx' = -0.5*x")

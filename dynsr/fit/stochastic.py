@@ -225,9 +225,9 @@ class StochasticSystem:
     settings : the numbers that decide.
 
     >>> rng, x = np.random.default_rng(0), [1.0]
-    >>> for _ in range(2000):
+    >>> for _ in range(400):
     ...     x.append(x[-1] * 0.95 + 0.3 * rng.standard_normal())
-    >>> run = Trajectory(0.05 * np.arange(2001.0), np.array(x)[:, None], ("x",))
+    >>> run = Trajectory(0.05 * np.arange(401.0), np.array(x)[:, None], ("x",))
     >>> own = sympy.Symbol("x")
     >>> system = StochasticSystem({"x": -0.5 * own}, {"x": sympy.Float(1.0)}, Series.of([run]))
     >>> fit = system.fit()
