@@ -162,6 +162,12 @@ def test_a_formula_without_a_real_value_is_refused(text):
         parse(text)
 
 
+def test_what_sympy_draws_together_is_not_lost_in_rounding():
+    """SymPy reads acos(cos(10^18)) as 10^18 less a multiple of pi, which is 128 in float64."""
+    found = evaluate(parse("x - acos(cos(10**18))"), {"x": np.array([0.5])})[0]
+    assert found == pytest.approx(0.5 - math.acos(math.cos(1e18)), rel=1e-9)
+
+
 @settings(max_examples=300, deadline=None)
 @given(FORMULAS)
 def test_a_formula_means_what_arithmetic_says_or_is_refused(text):

@@ -158,6 +158,9 @@ def _check_symbols(
         )
 
 
+# Numbers so many times larger than their sum leave it to rounding; SymPy makes such a sum of
+# acos(cos(10^18)).
+_LOST = 1e6
 # A part of an expression, and its value where no variable stands in it.
 _Part = tuple[sympy.Expr, float | None]
 
@@ -309,6 +312,8 @@ class _Reader:
             # SymPy's floats go on below those of float64.
             if (expr.is_Float and not value) or _is_long(expr):
                 expr = sympy.Float(value)
+        elif value and expr.is_Add and max(abs(float(a)) for a in expr.args) > _LOST * abs(value):
+            expr = sympy.Float(value)
         if value is not None:
             self._check_value(value)
         return expr, value
