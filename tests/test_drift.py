@@ -277,7 +277,7 @@ def test_a_discovery_names_the_drift():
     data = integrate(
         lambda t, x: [x[1], -(1 + 0.03 * t) * x[0] - 0.1 * x[1]], [1.0, 0.0], 40, 400, 0.0
     )
-    found = discover(data, preset="quick", jobs=1)
+    found = discover(data, preset="quick", functions=[], jobs=1)
     assert found.verdict.level != "law"
     assert "y' = -0.03*t*x - x - 0.1*y" in found.explanation["y"]
     assert all("t" not in map(str, e.free_symbols) for e in found.equations.values())
