@@ -167,6 +167,17 @@ def test_a_report_says_where_the_equations_go(tmp_path):
     assert "Fixed points" not in driven.report(tmp_path / "driven.html").read_text()
 
 
+def test_a_report_searches_fixed_points_once(tmp_path, monkeypatch):
+    """The table, the flow and the question whether there are any share one search."""
+    searched = []
+    monkeypatch.setattr(
+        "dynsr.discovery.result.find_fixed_points",
+        lambda *asked: searched.append(asked) or find_fixed_points(*asked),
+    )
+    assert "stable focus" in of(PENDULUM).report(tmp_path / "report.html").read_text()
+    assert len(searched) == 1
+
+
 def test_what_is_no_state_and_no_number_is_refused_by_name():
     """A point, a box and a picture name states; a parameter goes along finite numbers."""
     found = made({"prey": "prey*(1 - prey)"})

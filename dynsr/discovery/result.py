@@ -1414,8 +1414,15 @@ class Discovery:
         >>> [point.text for point in found.fixed_points()]
         ['x = -0.5: stable node', 'x = 0: unstable node', 'x = 0.5: stable node']
         """
+        if inputs is None and t is None and not box:
+            return self._fixed_points
         still, _ = self._still(inputs, t)
         return find_fixed_points(still, {**self._box, **(box or {})}, self.is_map)
+
+    @cached_property
+    def _fixed_points(self) -> tuple[FixedPoint, ...]:
+        # A report asks for them three times.
+        return find_fixed_points(self._still(None, None)[0], self._box, self.is_map)
 
     def bifurcation(
         self,
@@ -1466,8 +1473,7 @@ class Discovery:
         if len(self.equations) != 2 or self.is_map:
             raise InputError("a phase portrait draws the flow of two states; these are others")
         still, _ = self._still(inputs, t)
-        points = find_fixed_points(still, self._box)
-        return draw_flow(still, self._box, points, self.trajectories)
+        return draw_flow(still, self._box, self.fixed_points(inputs, t), self.trajectories)
 
     def score(
         self,
