@@ -181,7 +181,8 @@ class _Layer:
         self.rest[rows] -= value[:, None] * mine
         self.diagonal[rows] -= mine * solved
         self.diagonal[rows, own] = 0.0
-        self.beside[rows] -= mine[:, : len(slopes)] * solved[:, slopes]
+        if np.any(slopes >= 0):
+            self.beside[rows] -= mine[:, : len(slopes)] * solved[:, slopes]
         self.left[rows] -= target[own] * value
 
     def _take_out(
