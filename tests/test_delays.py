@@ -295,6 +295,7 @@ def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
 @pytest.mark.parametrize(
     ("system", "noise", "drawn", "level"),
     [
+        (HUTCHINSON, 0.01, {}, "law"),
         (HUTCHINSON, 0.05, {}, "law"),
         # A bell curve in place of x exp(-x) explains these data nearly as well.
         (BLOWFLIES, 0.01, {"seed": 100, "start": 0.9}, "approximation"),

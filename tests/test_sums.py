@@ -77,7 +77,7 @@ def test_two_combinations_give_two_states_that_nobody_measured():
     assert read.x[:, read.index("y")] == pytest.approx(y, abs=1e-12)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.01, marks=pytest.mark.slow), 0.05])
 def test_an_epidemic_is_found_from_those_who_may_fall_ill_and_a_total(noise):
     """S and S + I alone: the law of both, with the rates that were put in."""
     found = discover(epidemic(noise, 2), observed={"total": "S + I"}, jobs=1)
