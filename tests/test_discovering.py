@@ -134,6 +134,7 @@ class Found:
     delays = {}
     free = FreeParts()
     volumes = {}
+    volume_notes = ()
     hidden = {}
     hidden_notes = {}
     diffusion = {}
@@ -293,9 +294,10 @@ def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
     """On one terminal or in one file it is there once; apart, it is with the results too."""
     code = (
         "from types import SimpleNamespace as N; from dynsr.cli.discovery import show_reasons; "
-        "show_reasons(N(explanation={}, delays={}, hidden_notes={}, noise_notes={}, volumes={}, "
-        "ensemble={}, details={}, settings={}, constants={}, verdict=N(states={}), "
-        "free=N(sentences=[]), by_run=N(constants={})), {}, {'warned': ['once']})"
+        "show_reasons(N(explanation={}, delays={}, hidden_notes={}, noise_notes={}, "
+        "volume_notes=(), ensemble={}, details={}, settings={}, constants={}, "
+        "verdict=N(states={}), free=N(sentences=[]), by_run=N(constants={})), {}, "
+        "{'warned': ['once']})"
     )
     own = subprocess.PIPE if apart else subprocess.STDOUT
     ran = subprocess.run(
@@ -593,7 +595,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
         by_run=RunParameters(),
         free=FreeParts(),
         delays={},
-        volumes={},
+        volume_notes=(),
         hidden_notes={},
         noise_notes={},
         details={},
