@@ -163,7 +163,10 @@ def run_tasks(
 
 def _do(task: Task, folder: RunFolder, messages: Any) -> Any:
     """Do a task and keep its record; raises KeyboardInterrupt when it was asked to stop."""
-    with threadpool_limits(1), closing(Reporter(messages, task.name, task.title)) as report:
+    # A budget that ends here would leave a file of threadpoolctl open.
+    with uncut():
+        one_thread = threadpool_limits(1)
+    with one_thread, closing(Reporter(messages, task.name, task.title)) as report:
         parts = Parts(folder, task.name, task.key)
         with keeping(parts):
             record = task.work(*task.arguments, report)
