@@ -118,19 +118,22 @@ _MATH = {
 }
 
 
-def _by_hand(node, x, y):
-    """Evaluate Python's syntax tree with its own floats."""
+def _by_hand(node, x, y, shaken=0.0):
+    """Evaluate Python's syntax tree with its own floats, of which each may be a little another."""
     match node:
         case ast.Constant(value=value):
-            return float(value)
+            return float(value) * (1 + shaken * (node.col_offset % 7))
         case ast.Name(id=name):
             return {"x": x, "y": y, "pi": math.pi}[name]
         case ast.UnaryOp(operand=operand):
-            return -_by_hand(operand, x, y)
+            return -_by_hand(operand, x, y, shaken)
         case ast.Call(func=func, args=[argument]):
             function = _MATH.get(func.id) or getattr(math, func.id)
-            return function(_by_hand(argument, x, y))
-    a, b = _by_hand(node.left, x, y), _by_hand(node.right, x, y)
+            return function(_by_hand(argument, x, y, shaken))
+    power = not isinstance(node.op, (ast.Add, ast.Sub, ast.Mult, ast.Div))
+    # A root of a negative number is none, and its whole powers are.
+    exact = power and isinstance(node.right, ast.Constant)
+    a, b = _by_hand(node.left, x, y, shaken), _by_hand(node.right, x, y, 0.0 if exact else shaken)
     match node.op:
         case ast.Add():
             return a + b
@@ -148,7 +151,7 @@ def _steady(text, x, y):
     tree = ast.parse(text.replace("^", "**"), mode="eval").body
     try:
         value = _by_hand(tree, x, y)
-        nearby = _by_hand(tree, x * (1 + 1e-11), y * (1 - 1e-11))
+        nearby = _by_hand(tree, x * (1 + 1e-11), y * (1 - 1e-11), 1e-11)
     except (ValueError, ArithmeticError):
         return None
     steady = math.isclose(value, nearby, rel_tol=1e-7) and 1e-200 < abs(value) < 1e200
