@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -262,13 +263,9 @@ def _begin(
     What takes far more bits than one that leaves nothing but noise is not given.
     """
     found: list[_Begun] = []
+    most = math.inf
     for fit in sorted(fits, key=lambda fit: fit.bits):
-        if any(
-            one.fit is not None
-            and leaves_only_noise(one.fit.fit, comparison)
-            and fit.bits > one.fit.bits + comparison.behind
-            for one in found
-        ):
+        if fit.bits > most:
             return
         one = _Begun(fit.delay, fit.delayed, fit)
         delays = delayed.delays_in(fit.equations, fit.delay)
@@ -276,6 +273,8 @@ def _begin(
             if fit.delayed.explained(fit.equations, delays, inputs) > _LEAST:
                 best = delayed.measured(fit, comparison)
                 found.append(_Begun(best.delay, best.delayed, best))
+                if leaves_only_noise(best.fit, comparison):
+                    most = min(most, best.bits + comparison.behind)
                 yield found[-1]
 
 

@@ -89,11 +89,6 @@ _REFUSED = (
     "nonnegative",
     "units",
     "start",
-    "vary",
-    "delays",
-    "observed",
-    "ensemble",
-    "hidden",
 )
 # Name of a constant of a formula; the space keeps it apart from any name of a column.
 _OWN = "constant of "
@@ -113,10 +108,7 @@ def check_free(options: Options) -> bool:
     """
     if not has_free(options.known):
         return False
-    if odd := next(filter(options.says, _REFUSED), None):
-        raise InputError(
-            f"{odd} does not go with a free function in known; leave one of the two out"
-        )
+    options.refuse(_REFUSED, "known", "a free function in known")
     return True
 
 

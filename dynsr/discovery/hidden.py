@@ -62,11 +62,6 @@ _REFUSED = (
     "units",
     "loss",
     "start",
-    "vary",
-    "delays",
-    "observed",
-    "ensemble",
-    "stochastic",
 )
 _DEMANDS = ("functions", "max_complexity", "terms", "must", "constraints", "nonnegative")
 
@@ -94,8 +89,7 @@ def check_hidden(runs: Sequence[Trajectory], options: Options) -> str:
     check_name(name, "column")
     if name in (*runs[0].names, "t"):
         raise InputError(f"{name!r} is a column of the data; give the hidden state another name")
-    if odd := next(filter(options.says, _REFUSED), None):
-        raise InputError(f"{odd} does not go with a hidden state; leave one of the two out")
+    options.refuse(_REFUSED, "hidden", "a hidden state")
     choose_methods(AUTO, options.preset)
     return name
 

@@ -14,6 +14,7 @@ from dynsr.data import Trajectory, in_formulas, take_trajectories
 from dynsr.discovery.orders import Order
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
+from dynsr.errors import InputError
 from dynsr.fit import LossFunction
 from dynsr.jobs import Step
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, Constraints, Must
@@ -144,6 +145,19 @@ class Options:
         if isinstance(value, np.ndarray):
             return True
         return bool(value) and value not in (usual, [usual], (usual,))
+
+    def refuse(self, names: Sequence[str], own: str, what: str) -> None:
+        """Raise InputError that names an option which does not go with another one.
+
+        Parameters
+        ----------
+        names : options that do not, besides those of the call as a whole.
+        own : the other one.
+        what : what it is called.
+        """
+        others = (name for name in _OF_THE_CALL if name != own)
+        if odd := next(filter(self.says, (*names, *others)), None):
+            raise InputError(f"{odd} does not go with {what}; leave one of the two out")
 
 
 Search: TypeAlias = "Callable[[Sequence[Trajectory], Options], Discovery]"

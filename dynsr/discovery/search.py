@@ -240,13 +240,15 @@ def _discover(data: Any, asked: Options) -> Discovery:
     uncut = bool(vary or kind.together or delayed or asked.observed or members)
     stepped = take_steps(runs, asked, uncut)
     every, runs = stepped.runs, list(stepped.runs)
-    check_asked(runs[0].states, asked.seed, settings=asked.settings, slopes=asked.slopes)
+    given = {"settings": asked.settings, "slopes": asked.slopes}
+    seed = check_asked(runs[0].states, asked.seed, **given)
     # Where runs have constants of their own, a window would be another run, and the start of a
     # hidden state is a constant of a run. Maps and delays are not fitted to all rows later.
     sizes, unfitted = asked.settings.windows, asked.discrete or delayed
     most = math.inf if vary or kind.uncut else sizes.block if unfitted else sizes.above
     runs, windows, slopes = take_windows(runs, sizes, asked.slopes, most, asked.discrete)
-    options, until = replace(asked.within, slopes=slopes), Budget(asked.time_budget).until(1.0)
+    options = replace(asked.within, slopes=slopes, seed=seed)
+    until = Budget(asked.time_budget).until(1.0)
 
     def in_time(make: Callable[[], Discovery], found: Discovery) -> tuple[Discovery, bool]:
         return finish_by(until, make, lambda: found)
@@ -271,7 +273,7 @@ def _discover(data: Any, asked: Options) -> Discovery:
             found, _ = in_time(partial(on_every_row, found, every, windows, asked.settings), found)
             profile = asked.settings.profile
             found, late = in_time(lambda: with_volumes(with_profiles(found, profile)), found)
-        found, cut = in_time(partial(with_ensemble, found, members, asked.seed), found)
+        found, cut = in_time(partial(with_ensemble, found, members, seed), found)
     if ended := ["profiles"] * late + ["ensemble"] * bool(members and cut):
         ended = [*found.settings.get("ended_by_budget", ()), *ended]
         found = replace(found, settings={**found.settings, "ended_by_budget": ended})

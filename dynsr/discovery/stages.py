@@ -91,7 +91,6 @@ from dynsr.jobs import (
     TimeUp,
     Watch,
     check_jobs,
-    check_seed,
     fingerprint,
     finish_by,
     run_tasks,
@@ -136,8 +135,9 @@ def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
         lambda: (),
     )
     first = first if begun is None else (START, *first)
-    seed = check_seed(asked.seed)
-    steps = _Steps(problem, states, methods, seed, key, folder, jobs, workers, first, bits, begun)
+    steps = _Steps(
+        problem, states, methods, asked.seed, key, folder, jobs, workers, first, bits, begun
+    )
     found, alternatives, cut = steps.run(asked.report, record)
     if demands.conserved:
         follow = {s: problem.samples_in_time(s) for s, _ in demands.conserved}
@@ -232,7 +232,7 @@ def _begin_record(
         **({} if begun is None else {"start": begun.record}),
         **({} if asked.time_budget is None else {"time_budget": asked.time_budget}),
         "preset": asked.preset,
-        "seed": check_seed(asked.seed),
+        "seed": asked.seed,
         "scheme": problem.scheme,
         "engine": find_engine(asked.engine).name,
         "version": __version__,

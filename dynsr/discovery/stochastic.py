@@ -80,11 +80,6 @@ _REFUSED = (
     "units",
     "loss",
     "start",
-    "vary",
-    "delays",
-    "observed",
-    "ensemble",
-    "hidden",
 )
 _DEMANDS = ("functions", "max_complexity", "terms")
 
@@ -107,9 +102,7 @@ def check_stochastic(runs: Sequence[Trajectory], options: Options) -> bool:
         raise InputError(f"stochastic={asked!r} must be True or False")
     if not asked:
         return False
-    odd = list(filter(options.says, _REFUSED))
-    if odd:
-        raise InputError(f"{odd[0]} does not go with stochastic; leave one of the two out")
+    options.refuse(_REFUSED, "stochastic", "stochastic")
     if known := [state for run in runs for state in run.noise]:
         raise InputError(
             f"the known measurement errors of {known[0]} do not go with stochastic, which fits "

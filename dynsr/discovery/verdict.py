@@ -496,12 +496,10 @@ class _Bench:
 
         Neighbours of few rows, far apart, differ as if there were noise.
         """
-        noisy = zip(verdict.states.items(), self.clean, strict=True)
-        states = [(state, own) for (state, own), clean in noisy if not clean]
         return [
             state
-            for state, own in states
-            if own.noise * math.sqrt(own.chi_square) < self.settings.exact
+            for (state, own), clean in zip(verdict.states.items(), self.clean, strict=True)
+            if not clean and own.noise * math.sqrt(own.chi_square) < self.settings.exact
         ]
 
     @property

@@ -278,12 +278,12 @@ def find_hidden(
     comparison : how systems are fitted and their bits are counted.
     settings : the numbers that decide.
     """
+    rests = dict.fromkeys((sympy.S.Zero, _by_inputs(data, state)))
     begun = [
         one
         for body in _bodies(data, state, comparison, settings)
-        for coupling in (Coupling(name, state, body),)
-        for rest in dict.fromkeys((sympy.S.Zero, _by_inputs(data, coupling)))
-        if (one := _begin(data, coupling, rest, comparison)) is not None
+        for rest in rests
+        if (one := _begin(data, Coupling(name, state, body), rest, comparison)) is not None
     ]
     begun.sort(key=lambda one: one.bits)
     # A state that needs no hidden one takes fewer bits alone.
@@ -375,7 +375,7 @@ def first_curve(
     return data.with_hidden(coupling.name, curves)
 
 
-def _by_inputs(data: Measurements, coupling: Coupling) -> sympy.Expr:
+def _by_inputs(data: Measurements, state: str) -> sympy.Expr:
     """Give the part of the slope of a state that its inputs make at once.
 
     A hidden state is smoother than inputs that act on its slope. So it is what bends least when
@@ -384,7 +384,7 @@ def _by_inputs(data: Measurements, coupling: Coupling) -> sympy.Expr:
     names = data.runs[0].input_names
     if not names:
         return sympy.S.Zero
-    place, slopes, inputs = data.runs[0].index(coupling.state), [], []
+    place, slopes, inputs = data.runs[0].index(state), [], []
     for run, own in zip(data.runs, data.smoothed, strict=True):
         slopes.append(np.diff(own.slope[:, place], 2))
         inputs.append(np.diff(run.inputs, 2, axis=0))
