@@ -24,6 +24,7 @@ def test_squares_that_are_left_are_those_of_least_squares(few):
     assert without(normal.gram, places, 5)[0, 0] == pytest.approx(left, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_forces_of_long_sums_are_found():
     """The six forces on a joint with a partner are the best of all sums that are fitted."""
     texts = {
@@ -39,6 +40,7 @@ def test_forces_of_long_sums_are_found():
     assert skeleton(found[0]) == skeleton(law.exprs["v"])
 
 
+@pytest.mark.slow
 def test_a_sum_of_whole_powers_goes_before_any_exponent():
     """A fan's friction and drag are found, no power between them; a lone state may have one."""
     texts = {"i": "-1.4*i - 0.6*w + 5", "w": "1.2*i - 0.1*w - 0.07*w^2"}
@@ -55,6 +57,7 @@ def test_a_sum_of_whole_powers_goes_before_any_exponent():
 
 
 @pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.slow
 def test_a_gene_that_is_repressed_has_a_limit(seed):
     """Where repression is strong throughout, no number over a power of the other column leads."""
     texts = {"a": "1.1/(1 + b^4) - 0.64*a", "b": "0.8*a - 0.5*b + 0.9"}

@@ -74,6 +74,7 @@ def answer(problem, equations, fronts):
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])
+@pytest.mark.slow
 def test_what_is_shorter_and_better_becomes_the_answer(noise):
     """An answer with one term too many gives way to the law on its front, which is judged."""
     problem = pose(spring(noise))
@@ -100,6 +101,7 @@ def test_what_only_seems_better_is_tried_and_not_called_so():
     assert "-2.9*x" not in [one.equation for one in judged.alternatives["v"]]
 
 
+@pytest.mark.slow
 def test_what_the_user_forbids_is_not_adopted():
     """An alternative that breaks what is asked is not returned, and so it is not called better."""
     problem = pose(spring(0.01), constraints={"v": {"v": "+"}})

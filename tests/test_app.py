@@ -500,6 +500,7 @@ def test_its_end_in_a_search_leaves_nothing_behind(tmp_path, name, code, line):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.slow
 def test_a_signal_between_two_steps_of_the_server_ends_it(tmp_path):
     """SIGTERM that comes just as the loop calls something ends the page, whatever that was."""
     script = tmp_path / "ended.py"
@@ -727,6 +728,7 @@ def search_columns(folder, columns, **options):
     return parts, work
 
 
+@pytest.mark.slow
 def test_each_run_has_its_picture(tmp_path):
     """Of several trajectories the page draws the one that is chosen, from its own start."""
     t = np.arange(0, 4, 0.1)
@@ -781,6 +783,7 @@ def test_constants_that_diverge_are_told(tmp_path):
     assert "t = " in parts["picture"]["said"] and "\n" not in parts["picture"]["said"]
 
 
+@pytest.mark.slow
 def test_live_reports_name_each_states_best_equation():
     """As a search goes on, each state has the best equation that any search has for it."""
     said = []

@@ -376,6 +376,7 @@ def test_what_was_found_outlives_the_process_that_draws(fresh):
         ({"explicit_time": True}, "x' = -0.5*x"),
     ],
 )
+@pytest.mark.slow
 def test_formulas_are_kept_in_their_form(options, text, tmp_path):
     """Maps, second order and the time are kept as they were asked for, and can all be written."""
     t = np.arange(0, 6, 0.1)

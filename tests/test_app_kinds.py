@@ -214,6 +214,7 @@ def test_noise_in_the_motion_is_shown_as_drift_and_diffusion(desk, monkeypatch):
     check_files(desk)
 
 
+@pytest.mark.slow
 def test_a_delay_is_followed_from_the_history_of_its_run(desk, asked, monkeypatch):
     """Equations with a delay are solved with what each run was before, and the delay is shown."""
     # x' = -x(t - 1)*pi/2 has the solutions a*cos(pi*t/2 + b).
@@ -248,6 +249,7 @@ def test_a_delay_is_followed_from_the_history_of_its_run(desk, asked, monkeypatc
     check_files(desk)
 
 
+@pytest.mark.slow
 def test_a_hidden_state_is_a_curve_of_which_something_is_unknown(desk, asked):
     """A state that nobody measured has its curve, its slider-free factor, and a word of doubt."""
     t = np.linspace(0, 6, 61)

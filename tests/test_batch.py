@@ -131,6 +131,7 @@ def test_two_workers_of_which_one_dies_make_the_same_table(tmp_path):
     assert timeless(spread) == timeless(alone)
 
 
+@pytest.mark.slow
 def test_the_shell_prints_the_table(tmp_path, monkeypatch):
     """dynsr discover --batch shows file, verdict and equations; a system has no files."""
     monkeypatch.chdir(tmp_path)

@@ -366,6 +366,7 @@ def test_the_shell_takes_limits(tmp_path):
     assert "--limit 'x' must be a state and its limit" in wrong.stderr
 
 
+@pytest.mark.slow
 def test_a_curve_on_the_wrong_side_of_limits_is_no_law():
     """Residuals of a right law are noise near its limit; one that stays above it is found out."""
     steady = sympy.Float(-0.9) * X + sympy.Float(0.08)

@@ -219,6 +219,7 @@ def test_bad_command_lines_end_in_one_line(case, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_not_a_fault_without_a_reader():
     """A reader that closes the pipe, such as head, is no error."""
     child = spawn("generate", "lorenz", "--dt", "0.001")
@@ -230,6 +231,7 @@ def test_not_a_fault_without_a_reader():
     assert child.wait() == 0 and errors == ""
 
 
+@pytest.mark.slow
 def test_interrupt_is_130():
     """Ctrl-C ends a running command in one line and exit code 130."""
     child = spawn("generate", "lorenz", "--dt", "0.0001", start_new_session=True)

@@ -103,6 +103,7 @@ def test_a_batch_on_a_cluster_ends_with_the_same_table(cluster, tmp_path):
     assert spread == alone
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_named_in_one_line(tmp_path, monkeypatch):
     """Where no scheduler answers, one line names the address and what to start."""
     pytest.importorskip("distributed", reason="dask.distributed is not installed")

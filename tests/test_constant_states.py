@@ -33,6 +33,7 @@ def with_constant(pair, value):
 
 
 @pytest.mark.parametrize("value", [3.0, 0.0, 3e9])
+@pytest.mark.slow
 def test_a_constant_state_does_not_change_in_noise(hunted, value):
     """Alone as the target, it has the equation 0, which is a law."""
     found = discover([with_constant(hunted, value)], targets=["c"], preset="quick", jobs=1)

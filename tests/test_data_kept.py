@@ -155,6 +155,7 @@ def test_rows_between_two_quotation_marks_are_not_swallowed(tmp_path):
         read_trajectories(tmp_path / "q.csv")
 
 
+@pytest.mark.slow
 def test_a_table_of_five_thousand_columns_is_read(tmp_path):
     """Lines longer than the head that is looked at are read, and a word says how many states."""
     names = ["t", *(f"a_long_name_of_a_column_{j}" for j in range(5000))]
@@ -248,6 +249,7 @@ def read_or_one_line(path):
 
 @settings(max_examples=80, deadline=None)
 @given(content=st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
+@pytest.mark.slow
 def test_any_bytes_are_a_table_or_one_line(content, tmp_path_factory):
     """Whatever a file holds, under whatever suffix, reading it ends in one of the two."""
     folder = tmp_path_factory.mktemp("bytes")

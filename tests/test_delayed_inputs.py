@@ -140,6 +140,7 @@ def test_the_derivatives_of_the_defects_are_those_of_small_differences(hold, sta
 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("system", [PIPE, HEATER])
+@pytest.mark.slow
 def test_the_error_of_the_rule_is_counted_in_exact_data(system, held):
     """The interval contains a delay between rows, and it is narrow."""
     fit = system.fit([system.run(held)])
@@ -150,6 +151,7 @@ def test_the_error_of_the_rule_is_counted_in_exact_data(system, held):
     assert numbers == pytest.approx(system.constants, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_constants_that_come_to_one_value_leave_the_error_of_the_delay():
     """In exact data of a pipe both constants become 1.25, and are one from then on."""
     rng, t = np.random.default_rng(3), np.linspace(0, 20, 101)
@@ -170,6 +172,7 @@ def test_constants_that_come_to_one_value_leave_the_error_of_the_delay():
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("system", [PIPE, HEATER])
 @pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.slow
 def test_the_delay_of_an_input_is_fitted_in_noise(system, held, noise):
     """It is within three of its standard errors, and these are a share of a row."""
     own = system.fit([system.run(held, noise, 1)]).as_delay("u")
@@ -177,6 +180,7 @@ def test_the_delay_of_an_input_is_fitted_in_noise(system, held, noise):
     assert abs(own.value - system.delay) < 3 * own.error
 
 
+@pytest.mark.slow
 def test_runs_that_share_a_delay_are_fitted_together():
     """Two runs of 5 % noise say more of the delay than either of them."""
     runs = [PIPE.run(True, 0.05, 1), PIPE.run(False, 0.05, 2)]
@@ -213,6 +217,7 @@ def found_pipe(runs=()):
     )
 
 
+@pytest.mark.slow
 def test_a_held_input_steps_between_rows_where_no_state_was_measured():
     """Each step is at its own time, the rows of the data stay, and those more are unmeasured."""
     run = PIPE.run(True)
@@ -285,6 +290,7 @@ def test_a_delayed_input_is_kept_exported_and_scored_as_what_it_is(tmp_path):
     assert "u(t - 1.7)" in page and "--delays 1.7" in page
 
 
+@pytest.mark.slow
 def test_an_input_that_acts_at_once_takes_fewer_bits_without_a_delay():
     """Of all sums that are fitted, the true one without a delay is the first."""
     delayed = Delayed.of([PIPE.run(True, 0.05, 5, 0.0)], DelaySettings())

@@ -212,6 +212,7 @@ def test_the_error_of_the_rule_is_counted_in_exact_data(system):
         assert own.error < 1e-4 * delay
 
 
+@pytest.mark.slow
 def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_state(tmp_path):
     """Scores and the report read the delayed state off the data themselves."""
     (own,) = Delayed.of([as_run(hutchinson(0.01))], DelaySettings()).columns(1.6, 1.6)
@@ -226,6 +227,7 @@ def test_the_same_table_is_scored_and_reported_without_a_column_of_the_delayed_s
     assert "x_delayed" in page
 
 
+@pytest.mark.slow
 def test_the_report_draws_what_follows_from_the_history_alone(tmp_path, monkeypatch):
     """The curve of a report is that of the method of steps, which reads no row after the first."""
     from dynsr.report import discovery as reports
@@ -248,6 +250,7 @@ def test_the_report_draws_what_follows_from_the_history_alone(tmp_path, monkeypa
     assert np.std(curves[0].x - own.x) > 0.3 * np.std(own.x)
 
 
+@pytest.mark.slow
 def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     """Of the sums that a delay was fitted with, the first has the two terms of the law."""
     delayed = Delayed.of([as_run(hutchinson())], DelaySettings(minima=1))

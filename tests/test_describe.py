@@ -169,6 +169,7 @@ def test_a_table_that_cannot_be_read_is_one_line(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_what_was_assumed_stands_in_the_record(table, tmp_path):
     """A discovery and its file hold the description that the search went out from."""
     found = dynsr.discover(table, inputs=["valve"], preset="quick", method="sindy", jobs=1)

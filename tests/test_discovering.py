@@ -290,6 +290,7 @@ def test_a_terminal_gets_the_equations_in_a_frame(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.slow
 def test_a_warning_is_shown_once_in_one_place(tmp_path, apart):
     """On one terminal or in one file it is there once; apart, it is with the results too."""
     code = (

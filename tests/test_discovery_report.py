@@ -164,6 +164,7 @@ def test_the_chosen_equation_is_on_its_front(found, page):
     ]
 
 
+@pytest.mark.slow
 def test_the_page_says_how_it_was_made(found, page):
     """The command searches in the same way, and slopes are made as they were: by the recorded
     scheme, not by the one that the data would choose today.
@@ -217,6 +218,7 @@ def test_pictures_come_before_constants_and_these_before_other_formulas(page):
     assert "y&#39; = -k1*x" in page
 
 
+@pytest.mark.slow
 def test_a_rounded_constant_shows_what_was_fitted(found):
     """The fitted number has the sign of the parameter; one that was not rounded has none."""
     rounded = replace(found, fitted={"x": (), "y": (-1.0123,)})
@@ -225,6 +227,7 @@ def test_a_rounded_constant_shows_what_was_fitted(found):
     assert 'data-label="Fitted"' not in render_discovery(found)
 
 
+@pytest.mark.slow
 def test_only_settings_that_differ_are_listed_and_folded(found):
     """Of the numbers that decide, the usual ones are not listed; one that was changed is."""
     usual = to_plain(DiscoverySettings())
@@ -305,6 +308,7 @@ def test_large_data_are_thinned_or_drawn_as_a_density_and_it_is_said():
     assert "is drawn" not in small and "stronger" not in small
 
 
+@pytest.mark.slow
 def test_trajectories_that_are_not_drawn_are_counted(found):
     """Of five trajectories three are drawn, and the page says that two more are there."""
     page = render_discovery(replace(found, trajectories=found.trajectories * 5))
@@ -323,6 +327,7 @@ def test_every_format_is_offered_as_a_file(found):
     assert "found_petab.zip" not in files
 
 
+@pytest.mark.slow
 def test_a_report_offers_the_petab_problem_of_its_data(found):
     """The archive has the model and the measurements; that of many rows is not in the page."""
     pytest.importorskip("libsbml", reason="python-libsbml is not installed")

@@ -91,6 +91,7 @@ def test_wrong_names_are_one_line(doses: object, says: str) -> None:
         dynsr.discover([course()], doses=doses, jobs=1)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_doses(tmp_path: Path) -> None:
     """--dose c=dose finds the law of what is eliminated; what is no pair is one line."""
     run = course()
@@ -381,6 +382,7 @@ def test_files_that_name_no_state_are_told_the_column_that_was_added(tmp_path):
     assert "--dose x=amount, or --dose x=amount/V" in " ".join(shown.split())
 
 
+@pytest.mark.slow
 def test_a_batch_takes_a_table_of_doses(tmp_path):
     """Each file of a batch gets its own doses, by the column of files or else all of them."""
     rates = {"slow": 0.3, "fast": 0.6}

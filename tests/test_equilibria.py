@@ -136,6 +136,7 @@ def test_fixed_points_are_found_wherever_they_are_in_the_box():
     assert sum(p.stable for p in found) == 4
 
 
+@pytest.mark.slow
 def test_stability_is_lost_where_theory_says():
     """The Lorenz system's fixed points turn unstable at r = 24.74, and appear at r = 1."""
     found = of(LORENZ)
@@ -159,6 +160,7 @@ def test_a_phase_portrait_shows_where_states_go():
         of(LORENZ).phase_portrait()
 
 
+@pytest.mark.slow
 def test_a_report_says_where_the_equations_go(tmp_path):
     """It lists the fixed points, and draws the flow of two states."""
     page = of(PENDULUM).report(tmp_path / "report.html").read_text()

@@ -46,6 +46,7 @@ def test_of_noise_nothing_is_final():
     assert not look(on_an_arc("0.9*n - 0.4*n^2", error=0.01)).final
 
 
+@pytest.mark.slow
 def test_what_is_in_simple_numbers_is_final():
     """Two saturations end the search where all constants but one are simple numbers."""
     law = parse("0.16 + 2.4*p^2/(p^2 + 1.5) - 0.7512345678*n/(n + 0.34)")
@@ -73,6 +74,7 @@ def test_nothing_allowed_is_no_fault():
     assert all(c.expr.is_polynomial() for c in seen.candidates)
 
 
+@pytest.mark.slow
 def test_the_users_own_terms_are_among_the_few():
     """A law with a term that only the user knows is final; left out, that term is not there."""
     law = parse("0.16 + 2.4*p^2/(p^2 + 1.5) - 0.75*n*sin(3*p)*exp(p)")

@@ -82,6 +82,7 @@ def test_a_law_beyond_the_library_is_not_final():
     assert confirm({"x": parse("y"), "y": parse("-0.9*x - 0.1*y")}, [data], {}) is None
 
 
+@pytest.mark.slow
 def test_a_short_arc_is_not_final():
     """A tenth of a turn of a law with a root is followed by many sums, and none is taken for it."""
     rhs = lambda x: (-np.sqrt(1.7 + x**2) * np.exp(-x),)  # noqa: E731

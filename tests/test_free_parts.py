@@ -283,6 +283,7 @@ def test_what_exact_data_cannot_determine_is_fixed_and_said(known, fixed, means)
 # --- the fit of curves -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_line_is_fitted_as_a_line():
     """Over five draws bending costs so much that two parameters are left, as a median."""
     effective, part = [], Part("f", "x")

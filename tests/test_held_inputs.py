@@ -64,6 +64,7 @@ def test_the_constants_of_exact_data_are_exact(most: int) -> None:
 
 
 @pytest.mark.parametrize("most", [1, 3, 15])
+@pytest.mark.slow
 def test_the_intervals_of_noisy_data_hold_the_truth(most: int) -> None:
     """Collocation has a row twice where the input jumps; its constants are those of the law."""
     run = noisy(heater(min(most, 7), most))
@@ -149,6 +150,7 @@ def test_rows_at_which_an_input_steps_are_kept_when_rows_are_thinned() -> None:
     assert len(thin) < 0.5 * len(run)
 
 
+@pytest.mark.slow
 def test_stretches_stand_for_a_run_whose_input_steps_at_every_row() -> None:
     """Where rows cannot be left out, whole stretches are kept: about as many rows in all."""
     run = heater(1, 1, 400)
@@ -210,6 +212,7 @@ def test_the_law_of_a_heater_is_found(level: float) -> None:
         assert own.low <= truth <= own.high or own.value == pytest.approx(truth, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_discovery_says_how_its_inputs_were_held_and_goes_on_so(tmp_path: Path) -> None:
     """The record has it; simulate and score take new values of the input in the same way."""
     run = heater()
@@ -278,6 +281,7 @@ def test_the_command_line_says_it_too(tmp_path: Path) -> None:
             assert says in wrong.output
 
 
+@pytest.mark.slow
 def test_a_law_with_a_held_input_in_noise_is_judged() -> None:
     """Terms in the time are tried beside it, and where the input jumps no row counts twice."""
     run = noisy(heater())

@@ -315,6 +315,7 @@ def test_a_long_stage_is_told_again(monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["audit", "crosscheck"])
+@pytest.mark.slow
 def test_a_long_check_says_how_far_it_is(command):
     """On standard error, a line for what has ended; -q keeps silent, and the answer is the same."""
     less = ["--sections", "corrected", "--engines", "embedded"] if command == "crosscheck" else []

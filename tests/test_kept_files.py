@@ -157,6 +157,7 @@ def test_the_interface_replaces_a_table_by_force_alone(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["report.html", "discovery.json"])
+@pytest.mark.slow
 def test_what_a_user_changed_is_no_longer_of_dynsr(name, tmp_path, monkeypatch):
     """A page with notes of its reader, or an edited result, is not replaced."""
     monkeypatch.chdir(tmp_path)

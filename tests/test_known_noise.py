@@ -163,6 +163,7 @@ def _sd(size: float) -> KnownNoise:
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e9])
+@pytest.mark.slow
 def test_a_search_takes_what_is_known(scale):
     """The law, its intervals and the record; in data of huge numbers too."""
     data = {"t": T, "x": scale * decay(UNEVEN, 5), "err": scale * UNEVEN}

@@ -58,6 +58,7 @@ def followed(prey):
     return follow_anyway(problem, found, verdict)
 
 
+@pytest.mark.slow
 def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
     """Equations that part from the data are replaced by some that SciPy follows them with to an
     R2 above 0.95; they are called an approximation, are on the fronts, and say why.

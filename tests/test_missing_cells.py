@@ -163,6 +163,7 @@ def test_windows_of_exact_data_are_fitted_to_what_was_measured():
     assert len(match.misses) >= runs[0].measured.sum()
 
 
+@pytest.mark.slow
 def test_the_law_of_clean_data_with_empty_cells_is_found_exactly():
     """15 % of all cells are empty at random: the law of predator and prey, as its own digits."""
     found = discover(cycle(0.0), jobs=1)
@@ -391,6 +392,7 @@ def test_an_input_of_one_source_is_known_at_the_rows_of_the_other():
     assert take_trajectories(pair)[0][0].measured.sum(axis=0).tolist() == [201, 51]
 
 
+@pytest.mark.slow
 def test_two_sources_are_searched_as_one():
     """discover([online, offline]) finds the law of both, though their clocks differ."""
     own = np.arange(4, 201, 7)

@@ -71,6 +71,7 @@ def test_the_names_are_many():
 
 
 @pytest.mark.parametrize("names", chunks(NAMES), ids=lambda names: names[0])
+@pytest.mark.slow
 def test_states_may_be_called_like_anything_of_python(names):
     """Each name of Python, its modules and NumPy gives code that runs and the same slopes."""
     equations, space = make(names), {}
@@ -107,6 +108,7 @@ def test_inputs_may_be_called_like_anything_of_python(names):
 
 
 @pytest.mark.parametrize("names", chunks(NAMES), ids=lambda names: names[0])
+@pytest.mark.slow
 def test_no_state_hides_what_the_julia_code_calls(names):
     """Nothing that is set in the function has a name that the code calls, asks for or returns."""
     equations = make(names)

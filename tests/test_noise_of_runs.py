@@ -29,6 +29,7 @@ def relative_noise(data):
     return np.array([np.median(own.noise[:, 0] / own.x[:, 0]) for own in data.smoothed])
 
 
+@pytest.mark.slow
 def test_runs_of_few_rows_have_one_noise():
     """Sizes that differ by chance become nearly one; one that is five times others stays large."""
     alike = relative_noise(Measurements.of(two_compartments(100), {}, 10_000))

@@ -45,6 +45,7 @@ def test_what_is_left_out_stands_in_the_record(noise):
     assert set(kept) == set(off)
 
 
+@pytest.mark.slow
 def test_the_look_at_exact_slopes_ends_nothing_where_that_is_left_out():
     """Without the early end the methods search too."""
     ended = discover((T, DECAY[:, None]), jobs=1)

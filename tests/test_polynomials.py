@@ -39,6 +39,7 @@ def test_all_products_follow_a_ring_of_squares_in_few_rows(rows):
 
 
 @pytest.mark.parametrize(("rows", "end"), [(400, 8.0), (12, 2.0)])
+@pytest.mark.slow
 def test_many_rows_and_few_numbers_are_left_alone(rows, end):
     """Where curves are good nothing is fitted, nor where numbers are no more than constants."""
     assert fitted(rows, end) == []

@@ -44,6 +44,7 @@ def _propose(
         "1.3*x**2/(x**2 + 0.6) - 0.4*y/(y + 0.7)",
     ],
 )
+@pytest.mark.slow
 def test_the_law_is_proposed_first(law: str) -> None:
     """Of slopes with 1 % noise the law takes the fewest bits, and its constants are near."""
     best = _propose(law, noise=0.01)[0]
@@ -84,6 +85,7 @@ def test_what_is_expected_to_be_worse_is_not_proposed() -> None:
     assert not set(exchanged) & set(few)
 
 
+@pytest.mark.slow
 def test_proposals_do_not_depend_on_chance() -> None:
     """The same view gives the same sums, to the bit."""
     assert _propose("x - 0.5*x*y", noise=0.05) == _propose("x - 0.5*x*y", noise=0.05)

@@ -19,6 +19,7 @@ def drawn():
     return draw_systems(40, seed=3)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_its_systems_again(drawn):
     """The same seed gives the same systems however many are asked for; another one gives others."""
     assert draw_systems(3, seed=3) == drawn[:3]

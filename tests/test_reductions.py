@@ -84,6 +84,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("kind", PLANTED)
+@pytest.mark.slow
 def test_a_planted_law_is_found_by_its_own_reduction_alone(kind):
     """With its reducer the law comes out; with no reducer the same stages miss it."""
     law, reducer = PLANTED[kind]

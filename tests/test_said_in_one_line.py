@@ -150,6 +150,7 @@ TABLE, LESS = np.column_stack(PAIR), np.column_stack(OTHER)
     ],
     ids=range(8),
 )
+@pytest.mark.slow
 def test_a_tuple_of_runs_is_a_list_of_them(data, runs):
     """Runs of unequal lengths are taken as they are meant; times and states stay one run."""
     found = dynsr.discover(data, preset="quick", method="sindy", jobs=1)

@@ -53,6 +53,7 @@ def test_a_population_of_billions_keeps_its_law_and_its_constants():
     assert found.settings["units"] == {"t": 1.0, "x": 1e8}
 
 
+@pytest.mark.slow
 def test_intervals_of_tiny_and_huge_data_hold_the_truth():
     """x' = 2 - 0.5 x/1e-9 with 1 % noise, x of 1e-9: each interval is about its own constant."""
     x = 1e-9 * (4 - 3.5 * np.exp(-T / 2))

@@ -248,6 +248,7 @@ def test_the_words_keep_to_the_bits_of_the_verdict():
     assert explain("x", parse("x"), own, settings=strict).endswith("does as well.")
 
 
+@pytest.mark.slow
 def test_the_first_look_writes_constants_as_the_fit_says():
     """Without simple numbers the first look gives constants as fitted, of the same law."""
     samples = dynsr.data.choose_samples(

@@ -98,6 +98,7 @@ SWITCH = {"a": "2.1/(1 + b^3) - 0.8*a", "b": "1.7/(1 + a^2) - 0.6*b"}
     ],
     ids=["drag of a thrown ball", "a switch of two genes", "a pendulum in other units"],
 )
+@pytest.mark.slow
 def test_noisy_states_show_them_too(texts, start, end, state):
     """Of the sums that are proposed in 1 % noise the law is one of the first twelve.
 

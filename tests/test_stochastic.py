@@ -101,6 +101,7 @@ def test_the_likelihood_is_that_of_a_gaussian_process():
     assert system.log_likelihood(system.start) == pytest.approx(exact, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_constants_are_within_their_errors():
     """Over 20 paths the errors of rate and variance are as large as their standard errors say."""
     ratios = []
@@ -214,6 +215,7 @@ def test_paths_have_the_variance_of_the_process(found):
     assert np.array_equal(drawn[7].x, again[7].x)
 
 
+@pytest.mark.slow
 def test_other_units_give_the_same_equations():
     """In days and in thousandths, rates and variances are in these units."""
     run = relaxing()

@@ -29,6 +29,7 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.slow
 def test_what_is_one_is_printed_as_one(name, seed):
     """At 1 %, a constant is the same number in every place where the law has it, and within 1 %."""
     texts, start = SYSTEMS[name]

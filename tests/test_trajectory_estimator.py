@@ -159,6 +159,7 @@ def test_inputs_as_an_array(swing):
     assert np.allclose(model.simulate(z[0], t, u=drive), z, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_names_may_be_those_of_the_estimator(swing):
     """As in PySINDy 1; those of a fit go before, and do not stay for other data."""
     t, x = swing

@@ -60,6 +60,7 @@ def test_steps_at_rows_are_no_steps_between_them(noise: float) -> None:
     assert find_unseen_steps([swept(noise)]) is None
 
 
+@pytest.mark.slow
 def test_steps_at_rows_are_seldom_taken_for_others() -> None:
     """Of 200 draws of noise, where one in a thousand is expected, two at most."""
     run = circuit(0.0)

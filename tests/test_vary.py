@@ -101,6 +101,7 @@ def test_parameters_by_hand_differ_and_all_others_are_shared():
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.slow
 def test_a_rate_that_follows_a_temperature_is_said_as_arrhenius(noise):
     """Five runs at their temperatures: k = A exp(-E/T), with the E that was put in."""
     warm = np.array([280.0, 295.0, 310.0, 325.0, 340.0])
@@ -237,6 +238,7 @@ def test_cultures_of_two_treatments_are_told_by_the_shell(tmp_path):
     assert list(by_run["by"].values()) == ["treatment"]
 
 
+@pytest.mark.slow
 def test_constants_of_second_order_differ_too():
     """Springs of their own and one damping, from positions alone."""
     t, runs = np.linspace(0, 10, 120), []
@@ -287,6 +289,7 @@ def test_runs_of_the_same_names_are_scored_with_their_own_constants():
         found.score(plain[:1])
 
 
+@pytest.mark.slow
 def test_a_report_shows_the_table_by_run(tmp_path):
     """The page has the parameter of each run, and says that it differs."""
     found = grown(0.02).vary()

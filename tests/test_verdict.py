@@ -282,6 +282,7 @@ def test_another_formula_of_the_front_can_be_adopted(found, other):
         replace(found, trajectories=()).with_choice("y", 0)
 
 
+@pytest.mark.slow
 def test_the_heading_never_says_found_of_what_is_not(found, other, tmp_path):
     """The page of equations that are not found says so in its title, and shows the verdict."""
     page = other.report(tmp_path / "page.html").read_text()

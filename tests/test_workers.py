@@ -60,6 +60,7 @@ def test_a_broken_or_closed_pool_is_followed_by_a_good_one():
 
 # loky's own thread trips over calls that it had not handed out yet.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.slow
 def test_an_interrupt_while_workers_start_leaves_no_pool_behind(monkeypatch):
     """Ctrl-C held back until the workers are there ends them, and does not end those of the next.
 
