@@ -10,6 +10,7 @@ import dynsr
 from dynsr.data import choose_samples, join_samples
 from dynsr.expression import evaluate, parse, ratio_forms
 from dynsr.fit import Shooting, approach, confirm, simplest_form, skeleton
+from dynsr.library import structure_in
 from dynsr.selection import look
 
 LAWS = {
@@ -154,9 +155,37 @@ def test_a_ratio_is_written_as_it_is_shortest(ratio, form):
     assert sympy.count_ops(found) <= sympy.count_ops(parse(ratio))
 
 
-def test_forms_of_a_ratio_are_one_function():
+@pytest.mark.parametrize(
+    ("fitted", "form"),
+    [
+        (
+            "0.14*y - 4.655172413793103*x**2/(x**2 + 0.58) + 4.875172413793103",
+            "0.22 + 2.7/(x**2 + 0.58) + 0.14*y",
+        ),
+        ("0.82*x/(x + 0.51) + 0.69 - 0.759/(x + 1.1)", "0.82*x/(x + 0.51) + 0.69*x/(x + 1.1)"),
+        # What 1.258 misses its simple number by is much where it is written as 0.058.
+        (
+            "1.2*x**3/(x**3 + 1) - 1.2*x/(x + 0.84) + 0.05800074",
+            "0.058 + 1.2*x**3/(x**3 + 1) - 1.2*x/(x + 0.84)",
+        ),
+    ],
+)
+def test_sums_of_ratios_are_written_in_simple_numbers(fitted, form):
+    """Each ratio of a sum takes the form in which all constants are simple numbers."""
+    columns = {"x": np.linspace(0.2, 3, 40), "y": np.cos(np.linspace(0, 9, 40))}
+    length = structure_in(columns)
+    found = simplest_form(parse(fitted).evalf(), columns, length=lambda e: length({"x": e}))
+    assert skeleton(found.evalf()) == skeleton(parse(form).evalf())
+    assert sympy.simplify(found - sympy.nsimplify(parse(form), rational=True)) == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["(0.6*x*y + 0.3*y - 1.4*x**2)/(2*x + 1)", "1.3/(0.4 + x**2) + y*x/(x + 2) - 0.1*y + 0.7"],
+)
+def test_forms_of_a_ratio_are_one_function(text):
     """Every form has the same values."""
-    expr = parse("(0.6*x*y + 0.3*y - 1.4*x**2)/(2*x + 1)").evalf()
+    expr = parse(text).evalf()
     point = {"x": 0.73, "y": -1.9}
     values = [float(form.subs(point)) for form in ratio_forms(expr)]
     assert len(values) > 3

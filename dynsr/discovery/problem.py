@@ -75,6 +75,7 @@ from dynsr.jobs import (
     Budget,
     finish_by,
 )
+from dynsr.library import structure_in
 from dynsr.methods import (
     Demands,
 )
@@ -356,11 +357,19 @@ class Problem:
         if self.form.discrete:
             match = match_steps({s: tidy(e) for s, e in system.items()}, samples, found.reach)
         elif self.confirmed:
-            fit = self.settings.selection.fit
-            exact = confirm(system, self.runs, self.inputs, fit)
+            exact = self._confirm(system)
             if exact is None:
                 return None
-            match = polish(system, self.runs, self.inputs, samples, noise, fit, None, exact)
+            match = polish(
+                system,
+                self.runs,
+                self.inputs,
+                samples,
+                noise,
+                self.settings.selection.fit,
+                None,
+                exact,
+            )
         else:
             match = self._polish(system, noise)
         if not self.is_allowed(state, match.exprs[state]):
@@ -620,9 +629,12 @@ class Problem:
         self.cut.extend(["first look"] if cut else [])
         return found
 
-    def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
+    def _confirm(self, whole: Mapping[str, sympy.Expr]) -> Match | None:
         fit = self.settings.selection.fit
-        found = self._in_time(lambda: confirm(whole, self.runs, self.inputs, fit))
+        return confirm(whole, self.runs, self.inputs, fit, structure_in(self.columns))
+
+    def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
+        found = self._in_time(lambda: self._confirm(whole))
         if found is None or not all(self.is_allowed(s, e) for s, e in found.exprs.items()):
             return None
         self.confirmed.append(found)

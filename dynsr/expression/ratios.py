@@ -33,7 +33,8 @@ def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     """Give a formula, and where it is a ratio its other forms, which are the same function.
 
     Each number of the denominator may be 1. If the denominator has a variable, polynomial division
-    gives a sum and a ratio: (v^2 + 3 v)/(v + 1) = v + 2 v/(v + 1) = v + 2 - 2/(v + 1).
+    gives a sum and a ratio: (v^2 + 3 v)/(v + 1) = v + 2 v/(v + 1) = v + 2 - 2/(v + 1). In a sum of
+    ratios one of them is written in another form.
 
     Parameters
     ----------
@@ -45,6 +46,10 @@ def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     """
     seen = dict.fromkeys([expr])
     yield expr
+    for place, term in enumerate(expr.args if expr.is_Add else ()):
+        _, *others = ratio_forms(term)
+        rest = sympy.Add(*expr.args[:place], *expr.args[place + 1 :])
+        yield from (rest + other for other in others)
     top, bottom = sympy.fraction(expr)
     if not bottom.is_Add:
         return
@@ -73,7 +78,13 @@ def _divided(top: sympy.Expr, bottom: sympy.Expr) -> Iterator[tuple[sympy.Expr, 
             continue
         below = sympy.Poly(bottom, variable).all_coeffs()
         above = sympy.Poly(top, variable).all_coeffs()
-        if len(below) > len(above) or any(c.free_symbols for c in below):
+        if any(c.free_symbols for c in below):
+            continue
+        if len(above) < len(below):
+            # From the lowest power on it can be divided: 1/(1 + v) = 1 - v/(1 + v).
+            if below[-1] != 0 != above[-1]:
+                whole = sympy.expand(above[-1] / below[-1])
+                yield whole, sympy.expand(top - whole * bottom)
             continue
         # By hand: with rounded numbers SymPy's division may find no end.
         quotient, rest = [], list(above)

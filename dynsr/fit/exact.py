@@ -7,8 +7,9 @@ approximation, whatever the errors of slopes between distant rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import sympy
@@ -24,6 +25,10 @@ from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import INTERVALS, Match, match_trajectories
 from dynsr.fit.simple import simple_value
 
+# Bits of equations without their constants.
+Structure: TypeAlias = Callable[[Mapping[str, sympy.Expr]], float]
+
+
 # Misses that need no finer steps, as a share of the spread, and how much finer they may be.
 _ENOUGH, _FINE = 1e-8, 4
 # Misses, in those that leave no doubt, that may be of steps which are too long.
@@ -38,11 +43,16 @@ _NOTHING = 0.01
 _UNEVEN = 1e-9
 
 
+def _structure(exprs: Mapping[str, sympy.Expr]) -> float:
+    return sum(map(structure_bits, exprs.values()))
+
+
 def confirm(
     exprs: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings = FIT,
+    structure: Structure = _structure,
 ) -> Match | None:
     """Give the equations fitted to the states where these leave no doubt of them; else None.
 
@@ -53,6 +63,7 @@ def confirm(
     inputs : input name -> expression in ``t``, where it is known.
     settings : ``confirmed`` is the most that they miss, as a share of the way that the states go
         in ten intervals.
+    structure : bits of equations without their constants, by which the simplest form is chosen.
 
     >>> t = np.linspace(0, 4, 81)
     >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
@@ -80,7 +91,9 @@ def confirm(
                     match_losses=settings.match_losses[-1:],
                 )
                 match = match_trajectories(match.exprs, runs, inputs=inputs, settings=settings)
-            return _simplify(match, runs, inputs, settings, most) if _size(match) <= most else None
+            if _size(match) > most:
+                return None
+            return _simplify(match, runs, inputs, settings, most, structure)
     except (InputError, ArithmeticError, np.linalg.LinAlgError):
         return None
 
@@ -157,12 +170,17 @@ def _simplify(
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings,
     most: float,
+    structure: Structure,
 ) -> Match:
     """Leave out what is 0 and write simple numbers, all at once, where misses stay as small."""
     columns = columns_of(runs)
+
+    def simplify(state: str, expr: sympy.Expr) -> sympy.Expr:
+        return simplest_form(expr, columns, settings, length=lambda e: structure({state: e}))
+
     # A fit without what was nothing shows what else is nothing.
     for _ in range(settings.variation_rounds):
-        simple = {s: simplest_form(e, columns, settings) for s, e in match.exprs.items()}
+        simple = {s: simplify(s, e) for s, e in match.exprs.items()}
         if simple == match.exprs:
             break
         again = match_trajectories(simple, runs, inputs=inputs, settings=settings)
@@ -178,6 +196,7 @@ def simplest_form(
     columns: Mapping[str, np.ndarray],
     settings: FitSettings = FIT,
     share: float | None = None,
+    length: Callable[[sympy.Expr], float] = structure_bits,
 ) -> sympy.Expr:
     """Write a formula of exact data as it is shortest, with simple numbers where they are such.
 
@@ -187,34 +206,43 @@ def simplest_form(
     columns : the values at which it holds; what adds less than ``settings.confirmed`` is left out.
     settings : the numbers that decide.
     share : of themselves to which its constants are sure; ``settings.confirmed`` by default.
+    length : bits of a formula without its constants.
 
     >>> v = sympy.Symbol("v")
     >>> simplest_form((4.0 * v + 1e-12) / (1 + 2.0 * v), {"v": np.linspace(0, 3, 9)})
     2*v/(v + 1/2)
     >>> simplest_form(sympy.exp(-2.5 * v + 0.3), {"v": np.linspace(0, 3, 9)})
     exp(3/10 - 5*v/2)
+    >>> simplest_form(0.4 * v + 0.82 - 0.4182 / (v + 0.51), {"v": np.linspace(0, 3, 9)})
+    2*v/5 + 41*v/(50*(v + 51/100))
     """
-    best: tuple[int, float, str] | None = None
-    found = expr
     share = settings.confirmed if share is None else share
-    for form in ratio_forms(expr):
-        left = _without_nothing(form, columns, settings.confirmed)
-        length = structure_bits(left)
-        for template, values in _with_shifts(*free_constants(left, "constant ")):
-            numbers = {
-                symbol: simple_value(value, share * abs(value), settings) if settings.snap else None
-                for symbol, value in values.items()
-            }
-            odd = sum(number is None for number in numbers.values())
-            simple = sum(number_bits(number) for number in numbers.values() if number is not None)
-            order = (odd, length + simple, str(left))
-            if best is None or order < best:
-                put = {
-                    symbol: sympy.Float(values[symbol]) if number is None else number
-                    for symbol, number in numbers.items()
+    best: tuple[int, float, str] | None = None
+    found = begun = expr
+    while True:
+        for form in ratio_forms(begun):
+            left = _without_nothing(form, columns, settings.confirmed)
+            bits = length(left)
+            for template, values in _with_shifts(*free_constants(left, "constant ")):
+                numbers = {
+                    symbol: simple_value(value, share * abs(value), settings)
+                    if settings.snap
+                    else None
+                    for symbol, value in values.items()
                 }
-                best, found = order, template.xreplace(put)
-    return found
+                odd = sum(number is None for number in numbers.values())
+                simple = sum(number_bits(n) for n in numbers.values() if n is not None)
+                order = (odd, bits + simple, str(left))
+                if best is None or order < best:
+                    put = {
+                        symbol: sympy.Float(values[symbol]) if number is None else number
+                        for symbol, number in numbers.items()
+                    }
+                    best, found = order, template.xreplace(put)
+        # In a sum of ratios one after the other is written anew, from simple numbers on.
+        if found.evalf() == begun or not expr.is_Add:
+            return found
+        begun = found.evalf()
 
 
 def _with_shifts(

@@ -414,12 +414,18 @@ class _Search:
                 near.append(simple)
         return near[0] if near else None
 
+    def _length(self, expr: sympy.Expr) -> float:
+        """Bits of a formula without its constants, by the textbooks."""
+        return textbooks().bits_together(expr, self._place, Written()) + added_bits(expr)
+
     def _in_simple_numbers(self, choice: _Choice, share: float | None) -> sympy.Expr:
         if (choice, share) not in self.simple:
             columns = self.samples.columns
             # That all constants are simple is no chance, whether they are written so or as fitted.
             fit = replace(self.fit, snap=True)
-            self.simple[choice, share] = simplest_form(choice.expr, columns, fit, share)
+            self.simple[choice, share] = simplest_form(
+                choice.expr, columns, fit, share, self._length
+            )
         return self.simple[choice, share]
 
     def _stands_out(self, best: _Choice, found: Sequence[_Choice]) -> bool:
@@ -477,7 +483,8 @@ class _Search:
             # Of several that are written in simple numbers it is the shortest as written.
             best, simple = min(sure, key=self._bits_as_written) if sure else written[0]
             if simple is not None:
-                plain = simplest_form(best.expr, self.samples.columns, self.fit)
+                columns = self.samples.columns
+                plain = simplest_form(best.expr, columns, self.fit, length=self._length)
                 exprs.append(simple if self.fit.snap else plain)
             ranked.sort(key=lambda c: c is not best)
             alone = settings.parts.has("end-alone") and self._stands_out(best, found)
