@@ -267,8 +267,8 @@ def tidy(expr: sympy.Expr) -> sympy.Expr:
 def readable(expr: sympy.Expr) -> sympy.Expr:
     """Write a formula as textbooks do: tidy numbers, and saturations as 1.2*x/(x + 0.8).
 
-    Where no coefficient of a denominator is 1, the one of its leading term becomes 1. Whole numbers
-    stay unless all of them are then short decimals.
+    One coefficient of a denominator is 1: that of its leading term, or of another term if only then
+    all numbers are short decimals. Whole numbers stay where nothing makes them short decimals.
 
     Parameters
     ----------
@@ -276,11 +276,21 @@ def readable(expr: sympy.Expr) -> sympy.Expr:
 
     >>> readable(sympy.sympify("-6*x/(5*x + 4)")), readable(sympy.sympify("x/(7*x + 3)"))
     (-1.2*x/(x + 0.8), x/(7*x + 3))
+    >>> readable(sympy.sympify("77*x/(37*x + 100)"))
+    0.77*x/(0.37*x + 1)
     """
-    return sympy.Add(*[_led_by_one(term) for term in sympy.Add.make_args(tidy(expr))])
+    # Before numbers are decimals: 1000/11 has an end where 69/(1000 x/11 + 100) is divided by it.
+    return tidy(sympy.Add(*[_led_by_one(term) for term in sympy.Add.make_args(expr)]))
 
 
 def _led_by_one(term: sympy.Expr) -> sympy.Expr:
+    longest = max((len(part.args) for part in term.atoms(sympy.Add)), default=1)
+    ways = (_led_by(term, place) for place in range(longest))
+    return next((way for way in ways if way is not term), term)
+
+
+def _led_by(term: sympy.Expr, place: int) -> sympy.Expr:
+    """Divide denominators by one of their coefficients; the term as it is if that is no shorter."""
     number, rest = term.as_coeff_Mul()
     kept, scale = [], sympy.S.One
     for factor in sympy.Mul.make_args(rest):
@@ -290,7 +300,7 @@ def _led_by_one(term: sympy.Expr) -> sympy.Expr:
         if not numbers or any(abs(own) == 1 for own in numbers):
             kept.append(factor)
             continue
-        lead = abs(_exact(numbers[0]))
+        lead = abs(_exact(numbers[min(place, len(numbers) - 1)]))
         parts = [part.as_coeff_Mul() for part in factor.base.args]
         base = sympy.Add(*[_exact(own) / lead * other for own, other in parts])
         kept.append(base**factor.exp)
