@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import sympy
 
@@ -44,23 +45,24 @@ def ratio_forms(expr: sympy.Expr) -> Iterator[sympy.Expr]:
     >>> [str(form) for form in ratio_forms((4.0 * x) / (1 + 2.0 * x))]
     ['4.0*x/(2.0*x + 1)', '2.0*x/(x + 0.5)', '2.0 - 2.0/(2.0*x + 1)', '2.0 - 1.0/(x + 0.5)']
     """
-    seen = dict.fromkeys([expr])
     yield expr
     for place, term in enumerate(expr.args if expr.is_Add else ()):
-        _, *others = ratio_forms(term)
         rest = sympy.Add(*expr.args[:place], *expr.args[place + 1 :])
-        yield from (rest + other for other in others)
-    top, bottom = sympy.fraction(expr)
+        yield from (rest + other for other in _other_forms(term))
+    yield from _other_forms(expr)
+
+
+@lru_cache(maxsize=2_000)
+def _other_forms(ratio: sympy.Expr) -> tuple[sympy.Expr, ...]:
+    top, bottom = sympy.fraction(ratio)
     if not bottom.is_Add:
-        return
-    parts = [(sympy.S.Zero, top), *_divided(top, bottom)]
-    for beside, rest in parts:
+        return ()
+    found = []
+    for beside, rest in [(sympy.S.Zero, top), *_divided(top, bottom)]:
         for scale in [sympy.S.One, *(t.as_coeff_Mul()[0] for t in bottom.args)]:
             line = sympy.Add(*[_scaled(term, scale) for term in bottom.args])
-            form = beside + sympy.expand(rest / scale) / line
-            if form not in seen:
-                seen[form] = None
-                yield form
+            found.append(beside + sympy.expand(rest / scale) / line)
+    return tuple(form for form in dict.fromkeys(found) if form != ratio)
 
 
 def _scaled(term: sympy.Expr, scale: sympy.Expr) -> sympy.Expr:

@@ -217,32 +217,45 @@ def simplest_form(
     2*v/5 + 41*v/(50*(v + 51/100))
     """
     share = settings.confirmed if share is None else share
+
+    def simple(values: Mapping[sympy.Symbol, float]) -> dict[sympy.Symbol, sympy.Expr]:
+        if not settings.snap:
+            return {}
+        found = {s: simple_value(v, share * abs(v), settings) for s, v in values.items()}
+        return {symbol: number for symbol, number in found.items() if number is not None}
+
     best: tuple[int, float, str] | None = None
     found = begun = expr
     while True:
         for form in ratio_forms(begun):
+            # A form with as many odd numbers, besides what came to be rounding, is no simpler.
+            if best and expr.is_Add and 0 < _count_odd(form, simple) >= best[0]:
+                continue
             left = _without_nothing(form, columns, settings.confirmed)
             bits = length(left)
             for template, values in _with_shifts(*free_constants(left, "constant ")):
-                numbers = {
-                    symbol: simple_value(value, share * abs(value), settings)
-                    if settings.snap
-                    else None
-                    for symbol, value in values.items()
-                }
-                odd = sum(number is None for number in numbers.values())
-                simple = sum(number_bits(n) for n in numbers.values() if n is not None)
-                order = (odd, bits + simple, str(left))
+                numbers = simple(values)
+                order = (
+                    len(values) - len(numbers),
+                    bits + sum(map(number_bits, numbers.values())),
+                    str(left),
+                )
                 if best is None or order < best:
-                    put = {
-                        symbol: sympy.Float(values[symbol]) if number is None else number
-                        for symbol, number in numbers.items()
-                    }
-                    best, found = order, template.xreplace(put)
+                    floats = {symbol: sympy.Float(value) for symbol, value in values.items()}
+                    best, found = order, template.xreplace({**floats, **numbers})
         # In a sum of ratios one after the other is written anew, from simple numbers on.
         if found.evalf() == begun or not expr.is_Add:
             return found
         begun = found.evalf()
+
+
+def _count_odd(
+    form: sympy.Expr,
+    simple: Callable[[Mapping[sympy.Symbol, float]], Mapping[sympy.Symbol, sympy.Expr]],
+) -> int:
+    values = free_constants(form, "constant ")[1]
+    least = _UNEVEN * max(map(abs, values.values()), default=0.0)
+    return len({s: v for s, v in values.items() if abs(v) > least}.keys() - simple(values).keys())
 
 
 def _with_shifts(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -49,6 +50,7 @@ _NAMED: tuple[Number, ...] = (Fraction(981, 100), sympy.pi, 2 * sympy.pi)
 _LARGEST_WHOLE = 100
 
 
+@lru_cache(maxsize=10_000)
 def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sympy.Expr | None:
     """Give the simple number that a fitted value stands for; None where that is not sure.
 
