@@ -373,3 +373,23 @@ def test_a_spring_that_swings_round_keeps_its_momentum_and_is_no_other_law():
     assert found.equations["w"] == -2 * u * w / r
     assert found.verdict.states["u"].level == "approximation"
     assert "satisfy a relation" in found.verdict.states["u"].reason
+
+
+def test_a_term_of_another_equation_brings_its_constant():
+    """A prey whose growth slows as Gompertz says is found where its predator's equation is known.
+
+    What is eaten stands there, with its constant 0.7, and costs no constant a second time.
+    """
+
+    def hunt(n, p):
+        eaten = n * p / (n + 0.7)
+        return 0.8 * n * np.log(3 / n) - 0.6 * eaten, 0.5 * eaten - 0.3 * p
+
+    samples = choose_samples(run(hunt, (1.0, 1.0), 30.0, 300, ("n", "p")), "n")
+    seen = look(samples, known={"p": parse("0.5*n*p/(n + 0.7) - 0.3*p")})
+    assert seen.final
+    law = parse("0.878889831*n - 0.8*n*log(n) - 0.6*n*p/(n + 0.7)")
+    columns = samples.columns
+    np.testing.assert_allclose(
+        evaluate(seen.candidates[0].expr, columns), evaluate(law, columns), rtol=1e-6, atol=1e-7
+    )
