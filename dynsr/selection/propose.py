@@ -346,13 +346,27 @@ class Proposer:
         """
         plain = self._cheapest[self.library.inside[self._cheapest] == 0]
         for most in self.settings.whole:
-            places = np.sort(plain[: min(most, len(self.evidence.y) // 4)])[None]
+            places = self._independent(plain[: min(most, len(self.evidence.y) // 4)])[None]
             layer = self._fit(places, np.zeros((*places.shape, self.library.most)))
             for _ in range(3):
                 sums = sorted(self._note(layer, {}), key=lambda one: one.bits)
                 for one in sums[: self.settings.exchanged]:
                     self._thin(one, found)
                 layer = self._grow(layer, self._allowed)
+
+    def _independent(self, places: np.ndarray) -> np.ndarray:
+        """Leave out forms without a constant inside of which those before them leave nothing."""
+        rows = self._rows[0].rows[self.library.first[places]]
+        kept: list[int] = []
+        basis = np.zeros((0, rows.shape[1]))
+        for i, row in enumerate(rows):
+            left = row - (row @ basis.T) @ basis
+            # Once more, for what rounding leaves of the others.
+            left = left - (left @ basis.T) @ basis
+            size = np.linalg.norm(left)
+            if size**2 > NOTHING_LEFT:
+                basis, kept = np.vstack([basis, left / size]), [*kept, i]
+        return np.sort(places[kept])
 
     def _tiers(self) -> Iterator[np.ndarray]:
         """Give the forms that sums are grown of, the cheapest few first, and all at last.
