@@ -52,6 +52,23 @@ def test_the_true_equations_are_a_law(noise):
             assert 0.6 < own.chi_square < 1.6
 
 
+def test_steps_of_the_integration_hide_no_simple_numbers():
+    """Irregular rows of a reaction with a weak saturation: its constants are exact to many digits.
+
+    Steps that are short enough for the errors of a rough solver leave residuals in which the
+    saturation would be lost.
+    """
+    saturated = "0.34*c/(c + 1.2)"
+    exprs = {
+        "a": parse("0.24*a*c - 0.12*a + 0.36"),
+        "b": parse(f"-0.86*a*b - 0.3*b + 1.6*c + {saturated} + 0.42"),
+        "c": parse(f"0.86*a*b - 0.24*a*c - 1.98*c - {saturated} + 0.54"),
+    }
+    times = np.sort(np.random.default_rng(0).uniform(0, 24, 600))
+    found = give_verdict(exprs, [predict(exprs, [1.7, 0.4, 1.8], times)])
+    assert {own.level for own in found.states.values()} == {"law"}
+
+
 @pytest.mark.parametrize(("constants", "level"), [("simple", "law"), ("odd", "approximation")])
 def test_simple_numbers_to_many_digits_are_no_chance(constants, level):
     """Where solvers' errors would hide terms, constants of few digits still show that it is a law.

@@ -16,14 +16,14 @@ import sympy
 
 from dynsr.data import Samples, Trajectory, columns_of
 from dynsr.errors import InputError
-from dynsr.expression import compile_columns, number_bits, ratio_forms
+from dynsr.expression import compile_columns, ratio_forms
 from dynsr.fit.candidates import Candidate, score_candidate
 from dynsr.fit.constants import free_constants
 from dynsr.fit.description import structure_bits
 from dynsr.fit.linear import ROUNDING
 from dynsr.fit.settings import FIT, FitSettings
 from dynsr.fit.shooting import INTERVALS, Match, match_trajectories
-from dynsr.fit.simple import simple_value
+from dynsr.fit.simple import simple_number_bits, simple_value
 
 # Bits of equations without their constants.
 Structure: TypeAlias = Callable[[Mapping[str, sympy.Expr]], float]
@@ -237,7 +237,7 @@ def simplest_form(
                 numbers = simple(values)
                 order = (
                     len(values) - len(numbers),
-                    bits + sum(map(number_bits, numbers.values())),
+                    bits + sum(map(simple_number_bits, numbers.values())),
                     str(left),
                 )
                 if best is None or order < best:

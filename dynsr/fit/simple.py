@@ -83,6 +83,23 @@ def simple_value(value: float, error: float, settings: FitSettings = FIT) -> sym
     return simple if value > 0 else -simple
 
 
+@lru_cache(maxsize=10_000)
+def simple_number_bits(number: sympy.Expr) -> float:
+    """Give the bits of a simple number: -log2(w d / v) for the size v, see the top of this file.
+
+    Parameters
+    ----------
+    number : what :func:`simple_value` gives.
+
+    >>> [round(simple_number_bits(sympy.Rational(n))) for n in ("0.2", "0.58", "1.044")]
+    [4, 9, 17]
+    """
+    value = abs(float(number))
+    near = _numbers(value, True)
+    uses = [use * gap for own, use, gap in near if own == abs(number)]
+    return math.log2(value / max(uses)) if uses else math.inf
+
+
 def simplicity_bits(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(P,) bits that constants save where they are whole, half or short decimal numbers.
 
