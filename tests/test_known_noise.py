@@ -95,6 +95,7 @@ def test_a_column_of_errors_says_how_rows_differ():
         ({"x": 0.0}, "give a standard deviation above 0"),
         ({"x": -1}, "give a standard deviation above 0"),
         ({"x": "nan"}, "give a standard deviation above 0"),
+        ({"x": "-5 %"}, "the noise of 'x' is '-5 %'; give a standard deviation above 0"),
         ({"x": "much"}, "'much' for the noise"),
         ({"x": np.ones(3)}, r"has shape \(3,\) but there are 121 rows"),
     ],

@@ -158,6 +158,7 @@ def test_the_shell_takes_sums(tmp_path):
     ("observed", "said"),
     [
         ({"sum": "S + I"}, "observed names 'sum', which is no state column; those are: S, total"),
+        ("total=S + I", "observed 'total=S . I' must map columns to sums of states, such as"),
         ({"total": "S*I"}, "'total' is 'S.I', which is no sum of states; give a linear"),
         ({"total": "S + I + 1"}, "is no sum of states"),
         ({"total": "2"}, "is no sum of states"),

@@ -311,8 +311,8 @@ def test_what_cannot_differ_is_refused_in_one_line():
         known({"x": -0.5 * X}, (runs[0], runs[1].select(slice(0, 3)))).vary()
     with pytest.raises(InputError, match="there is one; give several"):
         discover(runs[0], vary=True)
-    with pytest.raises(InputError, match="unknown state 'z'"):
-        discover(runs, vary="z")
+    with pytest.raises(InputError, match=r"vary names 'k1', .*ask them: found.vary\(\['k1'\]\)"):
+        discover(runs, vary="k1")
     with pytest.raises(InputError, match="a map has no joint fit"):
         discover(runs, vary=True, discrete=True)
     varied = found.vary()

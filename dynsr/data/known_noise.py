@@ -62,7 +62,7 @@ def read_noise(state: str, value: Any, rows: int) -> KnownNoise | str:
     >>> read_noise("x", "5 %", 2).share, read_noise("x", 0.1, 2).sd, read_noise("x", "x_sd", 2)
     (0.05, array([0.1, 0.1]), 'x_sd')
     """
-    share = 0.0
+    share, said = 0.0, _shown(value)
     if isinstance(value, str):
         percent = _SHARE.fullmatch(value)
         number = _as_number(percent["number"] if percent else value)
@@ -79,7 +79,7 @@ def read_noise(state: str, value: Any, rows: int) -> KnownNoise | str:
             f"the noise of {state!r} has shape {sd.shape} but there are {rows} rows; give one "
             "number, a share such as '5 %', a column, or one number a row"
         )
-    return check_noise(state, KnownNoise(sd, share), _shown(value))
+    return check_noise(state, KnownNoise(sd, share), said)
 
 
 def check_noise(state: str, noise: KnownNoise, said: str) -> KnownNoise:

@@ -40,6 +40,11 @@ def read_sums(runs: Sequence[Trajectory], observed: Mapping[str, Any] | None) ->
     """
     if not observed:
         return list(runs)
+    if not isinstance(observed, Mapping):
+        raise InputError(
+            f"observed {observed!r} must map columns to sums of states, such as "
+            '{"total": "S + I"}'
+        )
     columns, first = tuple(observed), runs[0]
     for column in columns:
         if column not in first.states:

@@ -41,8 +41,12 @@ def check_vary(asked: Any, runs: Sequence[Trajectory], discrete: bool) -> Asked:
         found: Asked = asked
     else:
         found = (asked,) if isinstance(asked, str) else tuple(asked)
-        for state in found:
-            runs[0].index(state)
+        if unknown := [name for name in found if name not in runs[0].states]:
+            raise InputError(
+                f"vary names {unknown[0]!r}, which is no state; the states are: "
+                f"{', '.join(runs[0].states)}. To let one parameter of the equations found differ, "
+                f"ask them: found.vary([{unknown[0]!r}])"
+            )
     if found and discrete:
         raise InputError("a map has no joint fit of its states; leave vary out")
     if found and len(runs) < 2:
