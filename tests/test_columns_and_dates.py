@@ -78,6 +78,16 @@ def test_a_number_that_is_constant_within_runs_is_a_label_or_a_parameter(name, v
     assert table.trajectories[0].input_names == ((name,) if "parameters" in said else ())
 
 
+def test_a_parameter_stays_one_where_an_input_is_named():
+    """The input that is named is no reason to leave out a number that differs from run to run."""
+    table = experiments(kelvin=[280, 300, 320]).assign(u=lambda own: np.sin(own["t"]))
+    read = read_trajectories(table, inputs=["u"])
+    assert read.description.states == ("x",) and read.description.parameters == ("kelvin",)
+    assert set(read.trajectories[0].input_names) == {"u", "kelvin"}
+    alone = read_trajectories(table, states=["x"], inputs=["u"])
+    assert alone.trajectories[0].input_names == ("u",)
+
+
 def test_a_sum_that_differs_in_its_last_digits_is_constant():
     """N = S + I + R is left out in one run and a parameter of several, whatever its rounding."""
     parts = (np.exp(-T), 1 / 3 + T / 9 - np.exp(-T) / 3)

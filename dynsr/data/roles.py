@@ -125,10 +125,9 @@ def guess_roles(
         if chosen is None and len(held) == len(rest):
             held = []
         known += held
-        if chosen is None:
-            parameters = [n for n in grouping.parameters if n not in known and n not in left_out]
-            known += parameters
     if chosen is None:
+        parameters = [n for n in grouping.parameters if n not in known and n not in left_out]
+        known += parameters
         chosen = [n for n in free if n not in (*known, *apart)]
         still = look.constants(chosen)
         if len(still) < len(chosen):
