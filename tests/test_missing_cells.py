@@ -12,7 +12,7 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
-from dynsr import InputError, Trajectory, discover
+from dynsr import Discovery, InputError, Trajectory, discover
 from dynsr.data import (
     carry,
     choose_samples,
@@ -224,6 +224,21 @@ def test_a_start_that_was_not_measured_is_fitted():
     fit = fit_along(LAW, Measurements.of(runs, {}, 2000))
     assert np.all(np.abs(fit.constants - CONSTANTS) < 4 * fit.errors)
     assert np.max(fit.found.mean_squares) < 1.5
+
+
+@pytest.mark.parametrize(("noise", "near"), [(0.0, 1e-5), (0.01, 0.01), (0.05, 0.05)])
+def test_pictures_and_scores_begin_where_the_equations_begin(noise, near):
+    """The first 15 rows of the predator are empty: its curve says little of its start."""
+    run = cycle(noise, share=0.0)
+    x = run.x.copy()
+    x[:15, 1] = np.nan
+    found = Discovery(LAW, {}, {}, {}, (Trajectory(T, x, ("x", "y")),))
+    exact = found.simulate([10.0, 5.0]).x
+    off = [found.simulate().x - exact, found.carried[0].x[:1] - TRUE[:1]]
+    assert max(np.sqrt(np.mean(own**2, axis=0)).max() for own in off) < near * TRUE.std()
+    missed = max(own["trajectory_rmse"] for own in found.score().values())
+    assert missed < max(1.5 * noise, near) * TRUE.std()
+    assert np.array_equal(found.carried[0].x[15:], x[15:])
 
 
 def test_too_few_values_are_refused():

@@ -88,6 +88,7 @@ from dynsr.discovery.unmeasured import (
     coupling_of,
     describe_hidden,
     estimate_hidden,
+    fit_starts,
     refuse_hidden,
 )
 from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
@@ -1288,8 +1289,24 @@ class Discovery:
 
     @cached_property
     def carried(self) -> tuple[Trajectory, ...]:
-        """The data, in which a state is on its curve where it was not measured."""
-        return tuple(carry(self.trajectories)) if self.trajectories else ()
+        """The data, in which a state is on its curve where it was not measured.
+
+        Its start is that of the equations.
+        """
+        return tuple(self._carry(self.trajectories)) if self.trajectories else ()
+
+    def _carry(self, runs: Sequence[Trajectory]) -> list[Trajectory]:
+        """Give runs whose empty cells are on curves, and whose starts follow the equations."""
+        carried = carry(runs)
+        if self.is_map or self.delays or self.diffusion or self.hidden or self.free.curves:
+            return carried
+        known = self._known_inputs(carried)
+        needed = {*self.equations, *arguments_of(self.equations)} - set(known)
+        if not needed <= set(carried[0].names):
+            return carried
+        rows = self._settings(ComparisonSettings, "selection", "comparison").rows
+        made = {s: own for s, own in form_of(self.settings).known.items() if own.is_Symbol}
+        return fit_starts(carried, self.equations, known, made, rows)
 
     @property
     def hold(self) -> dict[str, Hold]:
@@ -1511,7 +1528,7 @@ class Discovery:
             self._need_columns(runs)
             return ByState(score_steps(self.steps_of(runs)))
         form = form_of(self.settings)
-        runs = form.prepare(carry(runs))
+        runs = self._carry(form.prepare(carry(runs)))
         self._need_columns(runs)
         whole = [self._whole(run, chosen) for run in runs]
         known, scores = self._known_inputs(runs), ByState[dict[str, float]]()

@@ -133,7 +133,47 @@ def estimate_hidden(
     """
     numbered = number_runs(carry(runs))
     coupling = coupling_of(name, term, equations)
-    data = first_curve(Measurements.of(numbered, inputs, rows), coupling, equations)
+    data = _along(
+        first_curve(Measurements.of(numbered, inputs, rows), coupling, equations), equations
+    )
+    if data is None:
+        raise InputError(f"{name} cannot be fitted to these data; their slopes diverge")
+    return with_columns(numbered, data, name)
+
+
+def fit_starts(
+    runs: Sequence[Trajectory],
+    equations: Mapping[str, sympy.Expr],
+    inputs: Mapping[str, sympy.Expr],
+    derived: Mapping[str, sympy.Symbol],
+    rows: int,
+) -> list[Trajectory]:
+    """Give runs whose first row, where a state was not measured, follows from known equations.
+
+    A curve through the rows of the state alone may be far off there. What was measured stays.
+
+    Parameters
+    ----------
+    runs : trajectories in which each state is on its curve where it was not measured.
+    equations, inputs : right-hand sides, and input name -> expression in ``t`` where it is known.
+    derived : state -> its slope that was made from it.
+    rows : rows of the data at most.
+    """
+    found = []
+    for run in runs:
+        places = [run.index(state) for state in equations]
+        if not run.measured[0, places].all():
+            data = _along(Measurements.of([run], inputs, rows, derived), equations)
+            if data is not None:
+                x = run.x.copy()
+                x[0] = np.where(run.measured[0], x[0], data.smoothed[0].x[0])
+                run = replace(run, x=x)
+        found.append(run)
+    return found
+
+
+def _along(data: Measurements, equations: Mapping[str, sympy.Expr]) -> Measurements | None:
+    """Give measurements whose curves follow equations with their constants; None if none do."""
     # What is no float is not fitted.
     exact = {
         s: e.xreplace({number: sympy.Rational(number) for number in e.atoms(sympy.Float)})
@@ -141,6 +181,4 @@ def estimate_hidden(
     }
     mesh = data.mesh(tuple(exact))
     fit = Collocation(exact, mesh).fit()
-    if fit is None:
-        raise InputError(f"{name} cannot be fitted to these data; their slopes diverge")
-    return with_columns(numbered, data.along(fit.states, mesh.states), name)
+    return None if fit is None else data.along(fit.states, mesh.states)
