@@ -107,7 +107,20 @@ def test_exact_data_bound_a_constant_closely():
     t, x = solved(lambda _, s: SPEED * s / (HALF + s), [0.5], 8.0, 60)
     for own, truth in zip(found_in(t, x, x=ENZYME).profiles(), (SPEED, HALF), strict=True):
         assert own.high - own.low < 1e-3 * abs(truth)
-        assert own.value == pytest.approx(truth, rel=1e-3)
+        assert own.low <= truth <= own.high
+
+
+def test_the_error_of_the_rule_is_counted_in_exact_data():
+    """Of an oscillator in closed form, at 61 rows: each interval is narrow and has the truth."""
+    t, rate = np.linspace(0, 12, 61), np.sqrt(2 - 0.05**2)
+    x = np.exp(-0.05 * t) * (np.cos(rate * t) + 0.05 / rate * np.sin(rate * t))
+    v = -2 / rate * np.exp(-0.05 * t) * np.sin(rate * t)
+    run = dynsr.Trajectory(t, np.column_stack([x, v]), ("x", "v"))
+    law = {"x": dynsr.parse("v"), "v": dynsr.parse("-2.0*x - 0.1*v")}
+    for own in Discovery(law, {}, {}, {}, (run,)).profiles():
+        truth = {"x": -2.0, "v": -0.1}[own.of]
+        assert own.low <= truth <= own.high and own.high - own.low < 1e-6 * abs(truth)
+        assert own.wald[0] <= truth <= own.wald[1]
 
 
 def test_what_data_do_not_bound_is_open_on_that_side():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -14,6 +14,7 @@ from dynsr.data import FEWEST_SMOOTH, Trajectory
 from dynsr.discovery.intervals import home_of, printed_places, take_apart, write_interval
 from dynsr.errors import InputError
 from dynsr.fit import (
+    AlongFit,
     Measurements,
     ProfileSettings,
     Profiling,
@@ -106,11 +107,13 @@ class Profiles:
     ----------
     equations : state -> right-hand side.
     profiling : the fit of all constants, as they are in the loosened equations.
+    rule : the error of the rule in each of these; 0 where it is hidden by that of the data.
     fixed : terms whose factors are known.
     """
 
     equations: Mapping[str, sympy.Expr]
     profiling: Profiling
+    rule: np.ndarray
     fixed: Collection[sympy.Expr] = ()
 
     @classmethod
@@ -146,12 +149,12 @@ class Profiles:
             )
         made = {state: slope for state, slope in derived.items() if slope.is_Symbol}
         data = Measurements.of(runs, inputs, rows, made)
-        fit = fit_along(_loosen_but(equations, fixed), data)
+        fit, rule = _fit_finely(_loosen_but(equations, fixed), data, settings)
         if fit is None or not np.all(np.isfinite(fit.found.misses)):
             raise InputError(
                 "the equations cannot be fitted along these data; their slopes diverge"
             )
-        return cls(equations, Profiling.of(fit, settings), fixed)
+        return cls(equations, Profiling.of(fit, settings), rule, fixed)
 
     @property
     def places(self) -> list[tuple[str, int, int]]:
@@ -232,7 +235,8 @@ class Profiles:
 
     def _make(self, name: str, state: str, index: int, place: int, begun: Profiling) -> Profile:
         rises = begun.profile(place)
-        value, beside = rises.best.value, begun.reach * float(begun.errors[place])
+        rule = float(np.max(self.rule * (begun.ways[:, place] != 0)))
+        value, beside = rises.best.value, rule + begun.reach * float(begun.errors[place])
         fitted = float(begun.values[place])
         lowest = min(0.0, *(point.rise for point in rises.held))
         return Profile(
@@ -243,8 +247,8 @@ class Profiles:
             value,
             np.array([point.value for point in rises.held]),
             np.array([(point.rise - lowest) / 2 for point in rises.held]),
-            rises.low,
-            rises.high,
+            None if rises.low is None else rises.low - rule,
+            None if rises.high is None else rises.high + rule,
             (fitted - beside, fitted + beside),
             rises.limit / 2,
         )
@@ -259,6 +263,28 @@ class Profiles:
             own = self.profile(state, index) if wrong else None
             found[state][index] = None if own is None else (_end(own.low), _end(own.high))
         return {s: tuple(own) for s, own in found.items() if any(own)}
+
+
+def _fit_finely(
+    equations: Mapping[str, sympy.Expr], data: Measurements, settings: ProfileSettings
+) -> tuple[AlongFit | None, np.ndarray]:
+    """Fit constants with short steps; gives the fit, and what the error of its rule may still be.
+
+    In exact data the errors of the constants are so small that the error of the rule shows. So the
+    steps between rows are halved until the constants stay where they are.
+    """
+    fit = fit_along(equations, data)
+    rule = np.zeros(0 if fit is None else len(fit.constants))
+    while fit is not None and data.fineness < settings.finest:
+        data = replace(data, fineness=2 * data.fineness)
+        again = fit_along(equations, data)
+        if again is None:
+            break
+        moved = np.abs(again.constants - fit.constants)
+        if np.all(moved <= settings.hidden * fit.errors):
+            return fit, np.zeros_like(rule)
+        fit, rule = again, moved
+    return fit, rule
 
 
 def _loosen_but(

@@ -43,6 +43,8 @@ class ProfileSettings:
     restarts : times that it then begins again.
     parabola : factor within which the rises at the ends of Wald's interval must be what they are on
         a parabola for that interval to be kept; otherwise the profile gives the interval.
+    hidden : share of an error that hides the error of the rule.
+    finest : times as many steps between rows, at most, with which the rule is tested.
     """
 
     level: float = 0.95
@@ -57,6 +59,8 @@ class ProfileSettings:
     better: float = 0.02
     restarts: int = 3
     parabola: float = 1.3
+    hidden: float = 0.1
+    finest: int = 8
 
 
 PROFILE: ProfileSettings = ProfileSettings()
