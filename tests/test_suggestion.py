@@ -230,3 +230,14 @@ def test_a_formula_that_holds_the_answer_is_no_alternative():
     more = replace(found, front={"x": dynsr.ParetoFront([*found.front["x"], wider])})
     texts = [own.text for own in more.suggest().alternatives]
     assert texts and not any("x**2" in text for text in texts)
+
+
+def test_other_numbers_inside_its_terms_make_no_alternative_of_a_formula():
+    """Of x/(x + 3) with a term more, the constant in the denominator comes out a bit different."""
+    t = np.linspace(0, 12, 60)
+    x = solve_ivp(lambda _, s: -s / (s + 3), (0, 12), [4.0], t_eval=t, rtol=1e-9).y.T
+    x = x + 0.02 * np.random.default_rng(0).standard_normal(x.shape)
+    found = found_in(t, x, x="-x/(x + 3)")
+    wider = dynsr.Candidate(dynsr.parse("0.001*x**3 - 1.05*x/(x + 3.2)"), 0.04, 15.0)
+    made = replace(found, front={"x": dynsr.ParetoFront([wider])}).suggest()
+    assert made.alternatives == ()

@@ -388,7 +388,9 @@ def _fit_alternatives(
 
 
 def _terms(expr: sympy.Expr) -> set[sympy.Expr]:
-    return {bare_term(term) for term in sympy.Add.make_args(expand_terms(expr))}
+    """Give the shapes of the terms: their factors and the numbers inside them do not count."""
+    terms = sympy.Add.make_args(expand_terms(expr))
+    return {skeleton(with_floats(bare_term(term))) for term in terms}
 
 
 def _shapes(expr: sympy.Expr) -> set[sympy.Expr]:
