@@ -502,10 +502,14 @@ def say(
     "its constants change along the record: q's coefficient from -1 to -2.2, as in v' = ..."
     >>> say("x", t + 1, sympy.sqrt(q), np.array([0.0, 40.0]), 0.0)
     "the data cannot distinguish it from x' = t + 1; a run from another start decides"
+    >>> say("q", 0.2 - 0.5 * q, -0.5 * q, np.array([0.0, 40.0]), 90.0)
+    'the residuals are not random: a constant term follows the data better'
     """
     written = write_line(state, tidy(expr), discrete, 4)
     if not is_timed(expr, own):
         more = [shown(body, 4) for body in bodies_of(expr) if body not in bodies_of(own)]
+        if more == ["1"]:
+            return "the residuals are not random: a constant term follows the data better"
         return f"the residuals are not random: they depend on {' and '.join(more) or written}"
     factors = {body: sympy.Add(*parts) for body, parts in _coefficients(expr).items()}
     changing = {body for body, factor in factors.items() if TIME in factor.free_symbols}
