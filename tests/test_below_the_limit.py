@@ -31,7 +31,15 @@ from dynsr.data import (
 from dynsr.discovery.scaling import Units
 from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
-from dynsr.fit import Collocation, DelayedSystem, Measurements, MixedMesh, fit_along, measure_runs
+from dynsr.fit import (
+    Collocation,
+    DelayedSystem,
+    Measurements,
+    MixedMesh,
+    fit_along,
+    interval_reach,
+    measure_runs,
+)
 from dynsr.fit.censored import Censored, deviance, residual, steepness
 from dynsr.report.plots import draw_states
 from tests.command_line import run as run_command
@@ -167,6 +175,17 @@ def test_clean_and_almost_clean_decays_have_their_rate():
     assert fit(decay(1e-4)).constants[0] == pytest.approx(-0.7, abs=5e-4)
     rates = [fit(decay(0.01, seed)).constants[0] for seed in range(12)]
     assert np.mean(rates) == pytest.approx(-0.7, abs=0.006)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
+    """Over 100 draws, half of all rows below the limit."""
+    found = [fit(decay(noise, seed)) for seed in range(100)]
+    inside = [
+        abs(own.constants[0] + 0.7) <= interval_reach(own.freedom) * own.errors[0] for own in found
+    ]
+    assert 0.90 <= np.mean(inside) <= 0.98
 
 
 @pytest.mark.slow

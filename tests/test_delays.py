@@ -183,9 +183,8 @@ def test_history_that_the_law_could_explain_takes_more_bits():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("system", "noise"), [(HUTCHINSON, 0.05), (BLOWFLIES, 0.01), (GLASS, 0.01)]
-)
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.parametrize("system", [HUTCHINSON, BLOWFLIES, GLASS])
 def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noise):
     """Of 20 draws of noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(1 + len(system.constants))

@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 import sympy
 from scipy.integrate import solve_ivp
+from scipy.stats import binom
 
 from dynsr import Discovery, InputError, Trajectory, discover
 from dynsr.discovery.uncertainty import bootstrap
-from dynsr.discovery.unmeasured import coupling_of, describe_hidden, estimate_hidden
-from dynsr.fit import Measurements, residual_bits
+from dynsr.discovery.unmeasured import (
+    coupling_of,
+    describe_hidden,
+    estimate_hidden,
+    number_runs,
+)
+from dynsr.fit import Measurements, fit_along, interval_reach, residual_bits
 from dynsr.fit.collocation import covariance_of
 from dynsr.jobs import FolderTaken
 from dynsr.selection import ComparisonSettings, Coupling, best_alone, find_hidden, law_of
@@ -193,6 +199,23 @@ def test_a_predator_is_found_from_its_prey(noise):
     assert found.trajectories[0].x[:, 1].min() > 0
     assert holds(found, "x", "x", 1.1)
     assert holds(found, "y", "x*y", 0.1) and holds(found, "y", "y", -0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
+    """Over 40 draws, of the three constants that the prey determines."""
+    law = {"x": 1.1 * X - X * Y, "y": 0.1 * X * Y - 0.4 * Y}
+    truth, inside = np.array([1.1, 0.1, -0.4]), []
+    for seed in range(40):
+        data = Measurements.of(number_runs([prey(noise, seed)]), {}, 2000)
+        coupling = Coupling("y", "x", X, sympy.S.NegativeOne)
+        fit = fit_along(law, first_curve(data, coupling, law))
+        near = truth[np.argmin(np.abs(fit.constants[:, None] - truth), axis=1)]
+        inside.append(np.abs(fit.constants - near) <= interval_reach(fit.freedom) * fit.errors)
+    # The errors of the three go together, so a draw counts once.
+    low, high = binom.ppf([0.01, 0.99], len(inside), [0.90, 0.98])
+    assert low <= np.mean(inside) * len(inside) <= high
 
 
 @pytest.mark.slow

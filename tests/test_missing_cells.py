@@ -203,12 +203,13 @@ def test_one_state_each_row_and_another_each_tenth(noise):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.01, 0.05])
 @pytest.mark.parametrize(("share", "every"), [(0.15, 1), (0.0, 5)])
-def test_intervals_hold_the_truth_over_draws(share, every):
+def test_intervals_hold_the_truth_over_draws(share, every, noise):
     """95 % intervals of the constants hold the truth in 90 to 98 % of draws with empty cells."""
     draws, held = 30, 0
     for seed in range(draws):
-        runs = carry([cycle(0.05, seed, share, every)])
+        runs = carry([cycle(noise, seed, share, every)])
         fit = fit_along(LAW, Measurements.of(runs, {}, 2000))
         held += int(np.sum(np.abs(fit.constants - CONSTANTS) <= 1.96 * fit.errors))
     count = draws * len(CONSTANTS)

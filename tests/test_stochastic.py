@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import sympy
 from command_line import run as run_command
-from scipy.stats import multivariate_normal
+from scipy.stats import binom, multivariate_normal
 
 import dynsr
 from dynsr.data import Trajectory, measure_motion_noise, write_csv
 from dynsr.discovery import Diffusion, DiffusionTerm, Discovery, cells_of
 from dynsr.errors import InputError
-from dynsr.fit import Series, StochasticSystem
+from dynsr.fit import Series, StochasticSystem, interval_reach
 
 X, Y = sympy.symbols("x y")
 RATE, LEVEL = 1.2, 0.5
@@ -112,6 +112,23 @@ def test_constants_are_within_their_errors():
         fit = system.fit()
         ratios.append((fit.values - [-RATE, np.log(LEVEL)]) / fit.sizes)
     assert 0.5 < np.std(ratios) < 1.5 and np.max(np.abs(ratios)) < 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [0.0, 0.01, 0.05])
+def test_intervals_hold_the_truth_in_90_to_98_percent(error):
+    """Over 16 paths, of rate and variance, with errors of measurement of a share of the spread."""
+    inside = []
+    for seed in range(16):
+        run = relaxing(seed, rows=201, error=error * np.sqrt(LEVEL / (2 * RATE)))
+        series = Series.of([run]) if error else Series.of([run]).apart()
+        size = {"x": 0.5 * error} if error else {}
+        system = StochasticSystem({"x": -1.1 * X}, {"x": sympy.Float(0.6)}, series, size)
+        fit = system.fit()
+        missed = np.abs(fit.values[:2] - [-RATE, np.log(LEVEL)])
+        inside.append(missed <= interval_reach(len(run) - 2) * fit.sizes[:2])
+    low, high = binom.ppf([0.01, 0.99], np.size(inside), [0.90, 0.98])
+    assert low <= np.sum(inside) <= high
 
 
 @pytest.mark.parametrize("start", [(5.0, 0.1, -2.0), (-3.0, 2.0, 4.0), (0.1, -5.0, 1.0)])
