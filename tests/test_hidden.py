@@ -19,6 +19,7 @@ from dynsr.discovery.unmeasured import (
     estimate_hidden,
     number_runs,
 )
+from dynsr.expression import evaluate
 from dynsr.fit import Measurements, fit_along, interval_reach, residual_bits
 from dynsr.fit.collocation import covariance_of
 from dynsr.jobs import FolderTaken
@@ -87,6 +88,16 @@ def test_the_law_is_the_same_however_a_hidden_state_is_written():
         moved = coupling.shifted(exprs, sympy.Float(a) + sympy.Float(b) * X)
         difference = sympy.expand(law_of(moved, coupling)["y"] - law)
         assert max(abs(float(c)) for c in difference.as_coefficients_dict().values()) < 1e-12
+
+
+def test_a_power_of_a_size_has_a_law():
+    """Of x' = y - |x| the law has the sign of x, which is a number in every row."""
+    exprs = {"x": Y - abs(X), "y": -2.0 * X * abs(X) ** 0.5}
+    law = law_of(exprs, Coupling("y", "x"))["y"]
+    assert law.free_symbols == {X, sympy.Symbol("x'")} and not law.has(sympy.Derivative)
+    columns = {"x": np.array([-4.0, 4.0]), "x'": np.array([1.0, 1.0])}
+    # y' less what |x| changes: 2*4*2 + 1, and -2*4*2 - 1.
+    assert evaluate(law, columns) == pytest.approx([17.0, -17.0])
 
 
 def test_a_law_is_written_with_the_equation_of_another_system():

@@ -18,7 +18,7 @@ from itertools import chain, combinations
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate, expand_terms
+from dynsr.expression import differentiate, evaluate, expand_terms
 from dynsr.fit import CollocationSettings, Measurements, skeleton
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
@@ -132,7 +132,7 @@ class Coupling:
         if not columns <= exprs.keys() - {self.name}:
             return None
         moved = {s: e.subs(self.symbol, self.symbol + shift) for s, e in exprs.items()}
-        slope = sum(sympy.diff(shift, sympy.Symbol(s)) * moved[s] for s in columns)
+        slope = sum(differentiate(shift, sympy.Symbol(s)) * moved[s] for s in columns)
         moved[self.name] = moved[self.name] - slope
         return {s: _without_rounding(expand_terms(e)) for s, e in moved.items()}
 
@@ -154,7 +154,7 @@ def law_of(exprs: Mapping[str, sympy.Expr], coupling: Coupling) -> Equations | N
     {'y': u' - 4*x}
     """
     mine, hidden = exprs[coupling.state], coupling.symbol
-    factor = expand_terms(sympy.diff(mine, hidden))
+    factor = expand_terms(differentiate(mine, hidden))
     if factor == 0 or hidden in factor.free_symbols:
         return None
     known = {hidden: (coupling.slope - mine.subs(hidden, 0)) / factor}
@@ -191,7 +191,7 @@ def _slope_along(expr: sympy.Expr, slopes: Mapping[str, sympy.Expr]) -> sympy.Ex
     others = {str(s) for s in expr.free_symbols} - slopes.keys()
     own = {n: sympy.S.One if n == "t" else sympy.Symbol(f"{n}'") for n in sorted(others)}
     every = {**slopes, **own}
-    return sympy.Add(*(sympy.diff(expr, sympy.Symbol(n)) * e for n, e in every.items()))
+    return sympy.Add(*(differentiate(expr, sympy.Symbol(n)) * e for n, e in every.items()))
 
 
 def _without_rounding(expr: sympy.Expr) -> sympy.Expr:
