@@ -242,6 +242,18 @@ def test_pictures_and_scores_begin_where_the_equations_begin(noise, near):
     assert np.array_equal(found.carried[0].x[15:], x[15:])
 
 
+def test_runs_too_short_to_be_fitted_begin_on_their_curves():
+    """Of eight runs with four rows each, the first cell of the predator is empty."""
+    runs = []
+    for place in range(0, 160, 20):
+        x = TRUE[place : place + 4].copy()
+        x[0, 1] = np.nan
+        runs.append(Trajectory(T[:4], x, ("x", "y")))
+    found = Discovery(LAW, {}, {}, {}, tuple(runs))
+    assert np.array_equal(found.carried[0].x, carry(runs)[0].x)
+    assert np.isfinite(found.simulate().x).all()
+
+
 def test_too_few_values_are_refused():
     """A state with fewer than 8 values in all runs has no equation that could be told."""
     x = TRUE.copy()

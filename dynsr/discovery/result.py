@@ -1324,9 +1324,8 @@ class Discovery:
         States without an equation are read from there too. An input that is known as an expression
         in ``t`` is that, unless the run measured another one.
         """
-        source = run or (self.trajectories[0] if self.trajectories else None)
-        if source is not None:
-            (source,) = carry([source])
+        # All runs together say enough of a state, one of them may be short.
+        source = carry([run])[0] if run else next(iter(self.carried), None)
         given: dict[str, Any] = self._known_inputs([] if source is None else [source])
         for name in arguments_of(self.equations):
             if name not in given and source is not None and name in source.names:

@@ -9,7 +9,7 @@ import numpy as np
 import sympy
 from scipy.interpolate import CubicSpline
 
-from dynsr.data import Trajectory, carry
+from dynsr.data import FEWEST_SMOOTH, Trajectory, carry
 from dynsr.errors import InputError
 from dynsr.expression import expand_terms, shown
 from dynsr.fit import Collocation, Measurements, tidy
@@ -150,7 +150,8 @@ def fit_starts(
 ) -> list[Trajectory]:
     """Give runs whose first row, where a state was not measured, follows from known equations.
 
-    A curve through the rows of the state alone may be far off there. What was measured stays.
+    A curve through the rows of the state alone may be far off there. What was measured stays, and
+    so do runs that are too short to be smoothed.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def fit_starts(
     found = []
     for run in runs:
         places = [run.index(state) for state in equations]
-        if not run.measured[0, places].all():
+        if len(run) >= FEWEST_SMOOTH and not run.measured[0, places].all():
             data = _along(Measurements.of([run], inputs, rows, derived), equations)
             if data is not None:
                 x = run.x.copy()
