@@ -77,6 +77,16 @@ def test_a_budget_holds_in_any_thread(monkeypatch):
     assert "the time budget ended" in found[0].verdict.reason
 
 
+def test_an_answer_in_no_time_has_an_end_itself(monkeypatch):
+    """Where polynomials of degree 2 of many states take too long, those of degree 1 are given."""
+    fit = tasks.fit_polynomials
+    few = {1: fit, 2: endless}
+    monkeypatch.setattr(tasks, "fit_polynomials", lambda own, degree: few[degree](own, degree))
+    monkeypatch.setattr(tasks, "look", endless)
+    found = dynsr.discover(EXACT, jobs=1, time_budget=0.2)
+    assert str(found.equations["x"].subs("x", 1.2).evalf(5)) == "-0.70000"
+
+
 @pytest.mark.slow
 def test_an_ensemble_is_ended_too(monkeypatch):
     """What comes after the search has no time of its own; the equations stay."""

@@ -40,7 +40,7 @@ from dynsr.methods import (
     Limits,
     Progress,
     Report,
-    fit_quadratics,
+    fit_polynomials,
     silent,
 )
 from dynsr.selection import (
@@ -59,8 +59,9 @@ from dynsr.selection import (
 NEVER = End(math.inf)
 # Rows, and columns at most, that a fit in no time takes.
 _SOON, _SOON_COLUMNS = 400, 12
-# When all time is over, the choice among what tasks have found takes no longer.
-_SECONDS_TO_CHOOSE = 0.3
+# When all time is over, the choice among what tasks have found takes no longer; nor do
+# polynomials of degree 2 of all states.
+_SECONDS_TO_CHOOSE, _SECONDS_TO_FIT = 0.3, 1.0
 # Rough seconds of a task on one core, from which the time left is first guessed.
 _USUAL = {"rational": 6.0, "sindy": 4.0, "dynaifeynman": 15.0, "genetic": 10.0}
 _USUAL_SEARCH, _USUAL_PICK = 10.0, 6.0
@@ -171,17 +172,22 @@ def search_one(
     return Found(samples.target, method.name, (*trivial, *found), taken, error, kind, cut)
 
 
-def fit_soon(samples: Samples) -> list[Candidate]:
+def fit_soon(samples: Samples, until: float = math.inf) -> list[Candidate]:
     """Fit polynomials of degree 2, so that however little time there was, there is a choice.
 
     Parameters
     ----------
     samples : what they are fitted to; of many, few are taken.
+    until : when those of degree 1 are taken instead, in seconds of the monotonic clock.
     """
     few = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _SOON)).astype(int))
     if few.X.shape[1] > _SOON_COLUMNS:
         return []
-    return [score_candidate(c.expr, samples, c.source) for c in fit_quadratics(few)]
+
+    def fit(degree: int) -> list[Candidate]:
+        return [score_candidate(c.expr, samples, c.source) for c in fit_polynomials(few, degree)]
+
+    return finish_by(until, partial(fit, 2), partial(fit, 1))[0]
 
 
 def late_search(samples: Samples, task: str) -> Found:
@@ -629,9 +635,11 @@ def answer_soon(
             return replace(best, complete=True, explanation=why)
     clock.leave()
     equations, fronts = {}, {}
-    for state, own in samples.items():
+    end = End(time.monotonic() + _SECONDS_TO_FIT)
+    for done, (state, own) in enumerate(samples.items()):
         given = known.get(state, sympy.S.Zero)
-        pool = demands.select([*trivial_candidates(own), *fit_soon(own)], own, given)
+        until = time.monotonic() + end.left / (len(samples) - done)
+        pool = demands.select([*trivial_candidates(own), *fit_soon(own, until)], own, given)
         equations[state] = tidy(given + choose(pool, own).expr)
         fronts[state] = ParetoFront(pool)
     why = dict.fromkeys(equations, " Fitted in no time, when the time budget was over.")

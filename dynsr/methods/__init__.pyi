@@ -1,4 +1,4 @@
-from .asked import AskedMethod, fit_quadratics
+from .asked import AskedMethod, fit_polynomials
 from .base import AbstractMethod, Progress, Report, silent
 from .demands import Constraints, Demands, Must, read_demands
 from .feynman.search import STAGES, DynAIFeynman
@@ -46,7 +46,7 @@ __all__ = [
     "describe_methods",
     "describe_presets",
     "find_method",
-    "fit_quadratics",
+    "fit_polynomials",
     "keeping",
     "make_method",
     "polynomials",

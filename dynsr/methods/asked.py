@@ -77,19 +77,20 @@ def fit_terms(terms: Sequence[sympy.Expr], samples: Samples) -> list[Candidate]:
     return _fit_sums(exprs, samples, "your terms")
 
 
-def fit_quadratics(samples: Samples) -> list[Candidate]:
-    """Give polynomials of degree 2, the least useful term left out in turn: a search in no time.
+def fit_polynomials(samples: Samples, degree: int) -> list[Candidate]:
+    """Give polynomials, the least useful term left out in turn: a search in no time.
 
     Parameters
     ----------
     samples : what they are fitted to.
+    degree : the highest one.
 
     >>> x = np.linspace(0.0, 2.0, 20)
     >>> samples = Samples(x[:, None], 3 * x - x**2, ("x",), "x", "given", x)
-    >>> ParetoFront(fit_quadratics(samples)).best_fit.loss < 1e-9
+    >>> ParetoFront(fit_polynomials(samples, 2)).best_fit.loss < 1e-9
     True
     """
-    return _fit_sums(polynomials(samples.names, 2).functions, samples, "polynomial")
+    return _fit_sums(polynomials(samples.names, degree).functions, samples, "polynomial")
 
 
 def _fit_sums(exprs: Sequence[sympy.Expr], samples: Samples, source: str) -> list[Candidate]:
