@@ -49,6 +49,20 @@ def test_a_state_that_is_another_constant_in_each_run_does_not_change(hunted):
     assert found.equations == {"c": 0} and found.verdict.level == "law"
 
 
+@pytest.mark.parametrize("method", ["auto", "sindy"])
+def test_a_constant_state_has_no_velocity(method):
+    """Equations of second order are those of what moves, and the system is a law all the same."""
+    t = np.linspace(0, 6, 80)
+    run = Trajectory(t, np.column_stack([np.cos(2 * t), np.full(80, 2.0)]), ("y", "c"))
+    found = discover(run, order=2, method=method, preset="quick", jobs=1)
+    assert {s: str(e) for s, e in found.equations.items()} == {
+        "y": "y_dot",
+        "y_dot": "-4*y",
+        "c": "0",
+    }
+    assert found.verdict.level == "law"
+
+
 def test_noise_is_that_of_the_states_that_change(hunted):
     """A column without a change says nothing of the noise, and its terms can be explored."""
     plain = Measurements.of([Trajectory(*hunted, ("a", "b"))], {}, 100)

@@ -175,9 +175,9 @@ def test_a_velocity_takes_no_name_that_a_column_has():
     names = ("x", "x_dot", "x_velocity", "x_rate")
     for count in (2, 3):
         run = Trajectory([0.0, 1.0], np.eye(2, count), names[:count])
-        assert read_form(2, False, False, run, ["x"]).velocities == {"x": names[count]}
+        assert read_form(2, False, False, [run], ["x"]).velocities == {"x": names[count]}
     with pytest.raises(InputError, match="rename it"):
-        read_form(2, False, False, Trajectory([0.0, 1.0], np.eye(2, 4), names), ["x"])
+        read_form(2, False, False, [Trajectory([0.0, 1.0], np.eye(2, 4), names)], ["x"])
 
 
 def test_forms_survive_their_record_and_strange_ones_are_plain():

@@ -45,7 +45,7 @@ def keep_formulas(
     >>> found.complete, found.verdict.tested, found.is_map
     (False, False, True)
     """
-    form = read_form(order, explicit_time, discrete, runs[0], runs[0].states)
+    form = read_form(order, explicit_time, discrete, runs, runs[0].states)
     sought = form.searched(runs[0].states)
     formulas = {state: formulas[state] for state in sought if state in formulas}
     why = " The best so far when the search was ended."

@@ -16,6 +16,7 @@ from dynsr.data import (
     add_velocities,
     choose_samples,
     choose_second_samples,
+    is_still,
 )
 from dynsr.discovery.maps import pair_rows
 from dynsr.errors import InputError
@@ -126,7 +127,7 @@ def read_form(
     order: Order,
     explicit_time: bool,
     discrete: bool,
-    run: Trajectory,
+    runs: Sequence[Trajectory],
     targets: Sequence[str],
     slopes: Mapping[str, Any] | None = None,
 ) -> Form:
@@ -134,10 +135,11 @@ def read_form(
 
     Parameters
     ----------
-    order : 1 or 2 for all targets, or state -> 1 or 2.
+    order : 1 or 2 for all targets, or state -> 1 or 2. A state that never changes has order 1: it
+        has no velocity to search.
     explicit_time : whether ``t`` is a variable.
     discrete : whether the equations are a map.
-    run : a trajectory; its names must not be those of the velocities.
+    runs : trajectories; their names must not be those of the velocities.
     targets : the states whose equations are sought.
     slopes : the user's own slopes, which go with order 1.
 
@@ -145,12 +147,12 @@ def read_form(
     together.
 
     >>> swing = Trajectory([0.0, 1.0], [[0.0], [1.0]], ("x",))
-    >>> read_form(2, False, False, swing, ["x"]).velocities
+    >>> read_form(2, False, False, [swing], ["x"]).velocities
     {'x': 'x_dot'}
     """
     orders = dict(order) if isinstance(order, Mapping) else dict.fromkeys(targets, order)
     for state, number in orders.items():
-        run.index(state)
+        runs[0].index(state)
         if isinstance(number, bool) or number not in (1, 2):
             raise InputError(f"order {number!r} of {state!r} must be 1 or 2")
         if state not in targets:
@@ -159,8 +161,14 @@ def read_form(
         raise InputError("a map goes from row to row and has no slopes; leave order and slopes out")
     if slopes and 2 in orders.values():
         raise InputError("own slopes go with order 1; velocities are made from the data")
-    seconds = [state for state in targets if orders.get(state) == 2]
-    return Form({state: _name(state, run) for state in seconds}, explicit_time, discrete)
+    seconds = [s for s in targets if orders.get(s) == 2 and not _is_still(runs, s)]
+    return Form({state: _name(state, runs[0]) for state in seconds}, explicit_time, discrete)
+
+
+def _is_still(runs: Sequence[Trajectory], state: str) -> bool:
+    place = runs[0].index(state)
+    seen = [run.x[run.measured[:, place], place] for run in runs]
+    return all(is_still(own) for own in seen if len(own))
 
 
 def _name(state: str, run: Trajectory) -> str:

@@ -89,7 +89,7 @@ def _are_positions(runs: Sequence[Trajectory]) -> bool:
     if not all("missing state" in _causes(runs, state) for state in states):
         return False
     try:
-        form = read_form(2, explicit_time=False, discrete=False, run=runs[0], targets=states)
+        form = read_form(2, explicit_time=False, discrete=False, runs=runs, targets=states)
         wide = form.prepare(carry(runs))
     except InputError:
         return False

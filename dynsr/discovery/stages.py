@@ -175,7 +175,7 @@ def _pose(data: Sequence[Trajectory], asked: Options) -> tuple[Problem, tuple[st
     targets = choose_targets(asked.targets, runs[0])
     scheme = asked.scheme or ("forward" if asked.preset == "paper" else "auto")
     order = 1 if asked.order is None else asked.order
-    form = read_form(order, asked.explicit_time, asked.discrete, runs[0], targets, asked.slopes)
+    form = read_form(order, asked.explicit_time, asked.discrete, runs, targets, asked.slopes)
     runs = form.prepare(carry(runs), scheme, settings.slopes)
     demands = read_demands(
         runs[0].states,
