@@ -35,7 +35,7 @@ from dynsr.fit import (
     tidy,
 )
 from dynsr.jobs import Budget, RunFolder, collect_by, fingerprint, report_each, to_plain
-from dynsr.methods import AUTO, choose_methods, read_demands
+from dynsr.methods import AUTO, Demands, choose_methods, read_demands
 from dynsr.selection import (
     ComparisonSettings,
     Coupling,
@@ -107,6 +107,7 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
     began, details, inputs = monotonic(), options.details, options.drives
     states, names = (*runs[0].states, name), (*runs[0].names, name)
     demands = read_demands(states, names, **{n: getattr(options, n) for n in _DEMANDS})
+    _check_terms(demands, name)
     selection = settle(details.selection, demands)
     runs = number_runs(carry(runs))
     engine = find_engine(options.engine)
@@ -148,6 +149,19 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
         **({"ended_by_budget": [_NAME]} if cut else {}),
     }
     return replace(found, engine=engine, settings=record, seconds=monotonic() - began)
+
+
+def _check_terms(demands: Demands, name: str) -> None:
+    """Refuse terms with a state that has no values, as it is known up to a function of others."""
+    asked = [("must", s, term) for s, term in demands.must]
+    asked += [("terms", "", term) for term in demands.terms]
+    for option, state, term in asked:
+        if state == name or sympy.Symbol(name) in term.free_symbols:
+            raise InputError(
+                f"{option} has {to_text(term)!r}{f' of {state!r}' if state else ''}, but nobody "
+                f"measured {name}, which may be written in many ways; name terms of measured "
+                "columns in the equations of measured states"
+            )
 
 
 def record_search(name: str, options: Options) -> dict[str, Any]:
