@@ -196,6 +196,10 @@ def test_the_micro_sign_and_mu_are_one_name(written, asked):
         ({"settings": {"rows": 5}}, "must be DiscoverySettings"),
         ({"out": 5}, "must be a folder"),
         ({"progress": 5}, "must be a function"),
+        ({"snap": "no"}, "snap 'no' must be True or False"),
+        ({"explicit_time": 7}, "explicit_time '7' must be True or False"),
+        ({"discrete": "yes"}, "discrete 'yes' must be True or False"),
+        ({"stochastic": 5}, "stochastic '5' must be True or False"),
         ({"jobs": "two"}, "jobs two must be a whole number"),
     ],
 )

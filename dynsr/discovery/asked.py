@@ -6,9 +6,13 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from dynsr.data import Trajectory
 from dynsr.errors import InputError, quoted
 from dynsr.jobs import check_seed
+
+FLAGS = ("snap", "explicit_time", "discrete", "stochastic")
 
 
 def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
@@ -18,7 +22,7 @@ def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
     ----------
     states : those of the data.
     seed : what all chance is to come from.
-    given : method, targets, known, slopes, scheme, out, progress and settings, by name.
+    given : arguments of :data:`KINDS`, by name.
 
     Raises InputError that names the argument.
     """
@@ -35,6 +39,10 @@ def check_asked(states: Sequence[str], seed: Any, **given: Any) -> int:
 
 def _is_names(value: Any) -> bool:
     return isinstance(value, (str, Sequence))
+
+
+def _is_truth(value: Any) -> bool:
+    return isinstance(value, (bool, np.bool_))
 
 
 # Arguments whose values nothing else looks at: whether one fits, and what it must be.
@@ -56,6 +64,7 @@ KINDS: dict[str, tuple[Any, str]] = {
     "out": (lambda v: v is None or isinstance(v, (str, os.PathLike)), "a folder"),
     "progress": (lambda v: v is None or callable(v), "a function"),
     "settings": (lambda v: hasattr(v, "selection"), "DiscoverySettings"),
+    **dict.fromkeys(FLAGS, (_is_truth, "True or False")),
 }
 
 

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from dynsr.arguments import checked
 from dynsr.data import Trajectory, read_sums
 from dynsr.discovery.apart import check_vary, search_apart
-from dynsr.discovery.asked import check_asked
+from dynsr.discovery.asked import FLAGS, check_asked
 from dynsr.discovery.confirmation import confirm
 from dynsr.discovery.delayed import check_delays, search_delayed
 from dynsr.discovery.every_row import on_every_row, take_windows
@@ -228,6 +228,8 @@ def _discover(data: Any, asked: Options) -> Discovery:
     start_engine(asked.engine)
     runs, asked = asked.read(data)
     runs = read_sums(runs, asked.observed)
+    given = {name: getattr(asked, name) for name in ("settings", "slopes", *FLAGS)}
+    seed = check_asked(runs[0].states, asked.seed, **given)
     members = check_ensemble(asked.ensemble, runs, asked.discrete)
     vary = check_vary(asked.vary, runs, asked.discrete)
     kind, delayed = _Kind.read(runs, asked), asked.delays is not False
@@ -240,8 +242,6 @@ def _discover(data: Any, asked: Options) -> Discovery:
     uncut = bool(vary or kind.together or delayed or asked.observed or members)
     stepped = take_steps(runs, asked, uncut)
     every, runs = stepped.runs, list(stepped.runs)
-    given = {"settings": asked.settings, "slopes": asked.slopes}
-    seed = check_asked(runs[0].states, asked.seed, **given)
     # Where runs have constants of their own, a window would be another run, and the start of a
     # hidden state is a constant of a run. Maps and delays are not fitted to all rows later.
     sizes, unfitted = asked.settings.windows, asked.discrete or delayed

@@ -98,8 +98,6 @@ def check_stochastic(runs: Sequence[Trajectory], options: Options) -> bool:
     True
     """
     asked = options.stochastic
-    if not isinstance(asked, bool):
-        raise InputError(f"stochastic={asked!r} must be True or False")
     if not asked:
         return False
     options.refuse(_REFUSED, "stochastic", "stochastic")
