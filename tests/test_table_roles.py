@@ -118,6 +118,31 @@ def test_days_without_a_year_go_on_after_new_year(form):
         assert "'Date' holds days without a year" in table.notes
 
 
+@pytest.mark.parametrize(
+    ("form", "frequency"), [("%b", "MS"), ("%B", "MS"), ("%a", "D"), ("%A", "D"), ("Q%q", "QS")]
+)
+def test_names_of_months_and_days_are_counted_on(form, frequency):
+    """Jan, Feb, ... without a year, and Mon, Tue, ... go on where they begin again."""
+    dates = pd.period_range("2001-01-01", periods=N, freq=frequency[0])
+    table = read_trajectories({"when": text(dates.strftime(form)), "x": DECAY})
+    (run,) = table.trajectories
+    starts = dates.to_timestamp()
+    assert run.time_unit == "days" and np.array_equal(run.t, (starts - starts[0]).days)
+    assert any(note.startswith("'when' holds names of ") for note in table.notes)
+    assert not run.origin["table"]["time"].get("begins")
+
+
+def test_names_of_months_next_to_a_time_are_no_time():
+    """A number that counts the rows in a unit says more, and so does a year next to a month."""
+    months = pd.period_range("2020-01", periods=N, freq="M")
+    cells = {"t": 2.5 * np.arange(N), "month": text(months.strftime("%b")), "x": DECAY}
+    assert np.array_equal(one(cells).t, cells["t"])
+    run = one({"year": months.year, "month": text(months.strftime("%b")), "x": DECAY})
+    assert run.origin["table"]["time"]["begins"] == "2020-01-01"
+    run = one({"quarter": text([f"Q{p.quarter} {p.year}" for p in months[::3]]), "x": DECAY[::3]})
+    assert run.t[1] == 91 and run.origin["table"]["time"]["begins"] == "2020-01-01"
+
+
 def test_day_and_month_are_told_apart_by_the_whole_column():
     """A day over 12, the order of the rows, or a record without a pause of a month decides."""
     daily = pd.date_range("2024-04-05", periods=N, freq="D")

@@ -11,6 +11,7 @@ import numpy as np
 
 from dynsr.data.columns import Columns
 from dynsr.data.name_parts import bare_name
+from dynsr.data.times import month_of
 
 # Part of a date -> names of columns that hold it.
 _PARTS = {
@@ -82,10 +83,13 @@ def _values(columns: Columns, name: str) -> np.ndarray:
 
 
 def _numbers(columns: Columns, name: str, part: str) -> np.ndarray:
-    """Give a column as numbers; a quarter may be written as Q1."""
+    """Give a column as numbers; a quarter may be written as Q1, a month by its name."""
     values = _values(columns, name)
-    if values.dtype.kind == "f" or part != "quarter":
+    if values.dtype.kind == "f" or part not in ("quarter", "month"):
         return values
+    if part == "month":
+        months = [month_of(cell.strip()) if isinstance(cell, str) else 0 for cell in values]
+        return np.array([float(month) or np.nan for month in months])
     found = [_QUARTER.fullmatch(cell) if isinstance(cell, str) else None for cell in values]
     return np.array([np.nan if match is None else float(match[1]) for match in found])
 

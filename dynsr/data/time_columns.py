@@ -241,6 +241,10 @@ class _Look:
         moments = self._moments(name)
         return moments is not None and moments.days_only
 
+    def _is_cyclic(self, name: str) -> bool:
+        moments = self._moments(name)
+        return moments is not None and moments.cyclic
+
     def _with_clock(self, day: str) -> Times | None:
         """Join a column of dates with the clock next to it, if there is one."""
         for name in self._columns.names:
@@ -286,8 +290,11 @@ class _Look:
         if not self._columns.named and not called:
             called = [names[0]]
         named = [found for n in called if (found := self._time(n)) is not None]
-        stamped = [found for n in names if n not in called and (found := self._stamped(n))]
-        known = {t.name for t in (*named, *stamped)}
+        # Names of months next to a time are the month that each row is of.
+        cyclic = {n for n in names if named and self._is_cyclic(n)}
+        others = [n for n in names if n not in called and n not in cyclic]
+        stamped = [found for n in others if (found := self._stamped(n))]
+        known = {*cyclic, *(t.name for t in (*named, *stamped))}
         counted = [t for t in self._counted() if t.name not in known]
         usable = [t for t in (*named, *stamped, *counted) if _moves(t.values)]
         usable.sort(key=self._rank)

@@ -69,7 +69,13 @@ _COUNTED = re.compile(
     r"(?P<word>[^\W\d_]*)[\s_.=:#-]*(?P<number>\d+(?:[.,]\d+)?)\s*(?P<unit>[^\W\d_]*)"
 )
 _COUNTING = ("", "t", "tp", "time", "timepoint", "point", "zeit", "zeitpunkt")
-_QUARTER = re.compile(r"(?P<year>\d{4})[\s./-]*Q(?P<quarter>[1-4])", re.IGNORECASE)
+_QUARTERS = tuple(
+    re.compile(form, re.IGNORECASE)
+    for form in (
+        r"(?P<year>\d{4})[\s./-]*Q(?P<quarter>[1-4])",
+        r"Q(?P<quarter>[1-4])[\s./-]*(?P<year>\d{4})",
+    )
+)
 _WEEK = re.compile(r"(?P<year>\d{4})[\s-]*W(?P<week>\d\d)(?:-?(?P<day>[1-7]))?", re.IGNORECASE)
 # A clock with points, of three numbers or after a date: 08.05.30, 26-11-2025 08.05.
 _DOTTED = re.compile(
@@ -86,12 +92,22 @@ _MONTHS = {
 }  # fmt: skip
 _IN_ENGLISH = {own: month for month, names in _MONTHS.items() for own in names.split()}
 _MONTH = re.compile(r"[^\W\d]{3,9}\.?")
+_FULL = re.compile(
+    "january|february|march|april|june|july|august|september|october|november|december|"
+    "monday|tuesday|wednesday|thursday|friday|saturday|sunday"
+)
 # A month and a day without a year, or a year without a day: Jan-26, 26. Jan, Jan '26.
 _MONTH_AND_NUMBER = re.compile(
     r"(?:(?P<before>\d{1,2})[\s./-]+)?(?P<month>[^\W\d]{3,9})\.?(?(before)|[\s./'-]+(?P<behind>\d{1,2}))"
 )
 # Years of days without a year count from a year of 365 days.
 _NO_YEAR = 2001
+# Names that begin again when all of them have gone by, and what they are called.
+_CYCLES = {
+    "months": tuple(_MONTHS),
+    "days": ("mon", "tue", "wed", "thu", "fri", "sat", "sun"),
+    "quarters": ("q1", "q2", "q3", "q4"),
+}
 # A record that pauses so many times longer if days are read as months is read the other way.
 _PAUSE = 10.0
 
@@ -175,11 +191,13 @@ class Moments:
     values : (n,) dates or durations of NumPy, NaT where a cell is empty.
     written : what they were, for a sentence; "" where it goes without saying.
     clock : whether they are times of the day alone.
+    cyclic : whether they are names that come again, such as those of months.
     """
 
     values: np.ndarray
     written: str = ""
     clock: bool = False
+    cyclic: bool = False
 
     @property
     def days_only(self) -> bool:
@@ -194,7 +212,7 @@ class Moments:
         """What seconds are counted from: a date, in seconds since 1970, or the start of a day."""
         if self.clock:
             return ("clock", 0.0)
-        if self.values.dtype.kind != "M":
+        if self.values.dtype.kind != "M" or self.cyclic:
             return None
         first = np.min(self.values[~np.isnat(self.values)])
         return ("date", float((first - np.datetime64(0, "s")) / np.timedelta64(1, "s")))
@@ -403,9 +421,12 @@ def read_times(cells: np.ndarray, name: str = "") -> Moments | None:
 
         read = _attempt(lambda: pandas.to_datetime(list(cells), utc=True))
         return None if read is None else Moments(read.tz_localize(None).to_numpy())
-    if not all(isinstance(cell, str) for cell in there) or not any(map(str.isdigit, there[0])):
+    if not all(isinstance(cell, str) for cell in there):
         return None
     texts = [None if _is_missing(cell) else cell.strip() for cell in cells]
+    named = _read_names(texts)
+    if named is not None or not any(map(str.isdigit, there[0])):
+        return named
     return _read_text(texts, name)
 
 
@@ -511,14 +532,53 @@ def _read_months(texts: Sequence[str | None]) -> Moments | None:
 
 def _month_and_number(found: re.Match[str]) -> tuple[int, int]:
     """Give the month, 0 for none, and the number next to it."""
-    names = list(_MONTHS)
     name = found["month"][:3].lower()
-    return names.index(name) + 1 if name in names else 0, int(found["before"] or found["behind"])
+    return month_of(name), int(found["before"] or found["behind"])
+
+
+def month_of(text: str) -> int:
+    """Give the number of a month by its name, such as 5 for May; 0 for another word.
+
+    >>> month_of("May"), month_of("märz"), month_of("Mayor"), month_of("x")
+    (5, 3, 0, 0)
+    """
+    return _place(text, tuple(_MONTHS)) + 1
+
+
+def _place(text: str, names: Sequence[str]) -> int:
+    """Give the place of a name among those of a cycle, also where it is written in full, or -1."""
+    word = _in_english(found) if (found := _MONTH.fullmatch(text)) else text.lower()
+    short = word[:3] if _FULL.fullmatch(word) or len(word) == _SHORTEST else word
+    return names.index(short) if short in names else -1
+
+
+def _read_names(texts: Sequence[str | None]) -> Moments | None:
+    """Read names of months, days or quarters one after the other; None for others.
+
+    The next year or week begins where the names begin again. Which one it is nothing says.
+    """
+    there = [text for text in texts if text is not None]
+    for called, names in _CYCLES.items():
+        places = np.array([_place(text, names) for text in there])
+        if np.any(places < 0):
+            continue
+        steps = np.diff(places) % len(names)
+        if not len(steps) or np.any(steps == 0) or np.median(steps) > len(names) / 2:
+            return None
+        counts = places[0] + np.append(0, np.cumsum(steps))
+        unit = "D" if called == "days" else "M"
+        sizes = counts * (3 if called == "quarters" else 1)
+        first = np.array(f"{_NO_YEAR}-01-01", dtype=f"datetime64[{unit}]")  # a Monday
+        values = np.full(len(texts), np.datetime64("NaT"), dtype="datetime64[ms]")
+        values[[text is not None for text in texts]] = first + sizes.astype(f"timedelta64[{unit}]")
+        words = f"names of {called}, which are counted on from row to row"
+        return Moments(values, words, cyclic=True)
+    return None
 
 
 def _read_parts_of_years(texts: Sequence[str | None]) -> np.ndarray | None:
     """Read quarters and weeks of years, such as 2021-Q3 and 2021-W07, as the day they begin."""
-    for pattern in (_QUARTER, _WEEK):
+    for pattern in (*_QUARTERS, _WEEK):
         found = [None if text is None else pattern.fullmatch(text) for text in texts]
         if any(t is not None and m is None for t, m in zip(texts, found, strict=True)):
             continue
@@ -526,7 +586,7 @@ def _read_parts_of_years(texts: Sequence[str | None]) -> np.ndarray | None:
         for match in found:
             if match is None:
                 days.append(None)
-            elif pattern is _QUARTER:
+            elif pattern is not _WEEK:
                 days.append(date(int(match["year"]), 3 * int(match["quarter"]) - 2, 1))
             else:
                 try:
