@@ -4,12 +4,13 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import sympy
 from command_line import run
 
 import dynsr
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, odd_times, read_trajectories
 from dynsr.discovery.maps import iterate, measure_step_errors, pair_rows, score_map
 from dynsr.errors import EngineError, InputError
 from dynsr.methods import RationalSearch
@@ -107,6 +108,16 @@ def test_rows_are_paired_where_one_usual_step_lies_between():
     uneven = Trajectory(np.cumsum(np.arange(1.0, 9)), np.arange(8.0)[:, None], ("x",))
     with pytest.raises(InputError, match="one row a step"):
         pair_rows([uneven], "x")
+
+
+@pytest.mark.parametrize("frequency", ["MS", "ME", "QS", "YS", "6MS"])
+def test_months_and_years_are_one_step_each(frequency):
+    """A map has a pair for each month though months differ in days, and none for a missing one."""
+    dates = pd.date_range("2001-01-31", periods=50, freq=frequency).delete(20)
+    frame = pd.DataFrame({"date": dates, "x": np.sin(np.arange(49.0) ** 2)})
+    (run,) = read_trajectories(frame).trajectories
+    assert len(pair_rows([run], "x").y) == 47
+    assert not any(odd.kind == "uneven" for odd in odd_times(run.t[:20], unit=run.time_unit))
 
 
 def test_standard_errors_are_the_spread_over_draws():

@@ -21,7 +21,7 @@ from .noise_model import (
     scale_of,
 )
 from .observation import at_own_rows, carry, told_rows, within_limits
-from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values
+from .oddities import Oddity, OddSettings, odd_states, odd_times, odd_values, one_step
 from .reading import (
     column_units,
     in_formulas,
@@ -143,6 +143,7 @@ __all__ = [
     "odd_states",
     "odd_times",
     "odd_values",
+    "one_step",
     "open_part",
     "own_folder",
     "read_kept",

@@ -102,7 +102,7 @@ def _odd(table: Table, settings: OddSettings) -> Iterator[str]:
     runs = [(found.trajectories[i].name, table.trajectories[i]) for i in picked]
     # Many columns would else show by chance what no single one does.
     each = replace(settings, chance=settings.chance / (len(runs) * len(found.states)))
-    clocks = [(name, odd) for name, run in runs for odd in odd_times(run.t, each)]
+    clocks = [(name, odd) for name, run in runs for odd in odd_times(run.t, each, run.time_unit)]
     yield from merge_places(clocks, f"time {found.time.column!r}", count == 1)
     for state in found.states:
         seen = [

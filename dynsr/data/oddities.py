@@ -44,6 +44,9 @@ class OddSettings:
 
 
 _SETTINGS = OddSettings()
+# Shortest and longest days of months, quarters, half years and years.
+_CALENDAR = ((28, 31), (90, 92), (181, 184), (365, 366))
+_DAYS = {"days": 1.0, "years": 365.25}
 # Standard deviation of the error of rounding, in steps.
 _ROUNDING = 1 / sqrt(12)
 # Rows of a median absolute value that are worth as much as one of a mean square.
@@ -71,13 +74,36 @@ class Oddity:
     rows: tuple[int, int]
 
 
-def odd_times(t: np.ndarray, settings: OddSettings = _SETTINGS) -> list[Oddity]:
+def one_step(
+    steps: np.ndarray, unit: str = "", settings: OddSettings = _SETTINGS
+) -> tuple[float, float]:
+    """Give the shortest and the longest step of the time that count as the usual one.
+
+    Parameters
+    ----------
+    steps : (n,) steps of the time.
+    unit : that of the time. Months, quarters and years differ in days and are one step each.
+    settings : the numbers that decide.
+
+    >>> [round(step) for step in one_step(np.array([31.0, 28.0, 31.0]), "days")]
+    [28, 31]
+    """
+    usual = float(np.median(steps))
+    days, uneven = usual * _DAYS.get(unit, np.nan), settings.even * usual
+    for low, high in _CALENDAR:
+        if low <= np.round(days, 3) <= high:
+            return low * usual / days - uneven, high * usual / days + uneven
+    return usual - uneven, usual + uneven
+
+
+def odd_times(t: np.ndarray, settings: OddSettings = _SETTINGS, unit: str = "") -> list[Oddity]:
     """Say what looks odd in the times of one run.
 
     Parameters
     ----------
     t : (n,) increasing times.
     settings : the numbers that decide.
+    unit : that of the times; steps of months and years are even.
 
     >>> [odd.words for odd in odd_times(np.array([0.0, 1, 2, 3, 20, 21, 22]))]
     ['jumps by 17 in row 5, where a step is 1']
@@ -98,7 +124,9 @@ def odd_times(t: np.ndarray, settings: OddSettings = _SETTINGS) -> list[Oddity]:
                 (int(gaps[0]), int(gaps[0]) + 1),
             )
         ]
-    if np.ptp(steps) > settings.even * float(np.max(steps)):
+    shortest, longest = one_step(steps, unit, settings)
+    uneven = np.ptp(steps) > settings.even * float(np.max(steps))
+    if uneven and not (shortest <= steps.min() and steps.max() <= longest):
         return [
             Oddity(
                 "uneven",

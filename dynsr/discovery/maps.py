@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 from scipy.special import fdtrc
 
-from dynsr.data import OddSettings, Samples, Trajectory, sample_input
+from dynsr.data import Samples, Trajectory, one_step, sample_input
 from dynsr.discovery.following import ENOUGH_ROWS
 from dynsr.discovery.verdict import VERDICT
 from dynsr.errors import EngineError, InputError
@@ -50,9 +50,8 @@ def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
     [2.0, 1.0]
     """
     steps = [np.diff(run.t) for run in runs]
-    usual = float(np.median(np.concatenate(steps)))
-    uneven = OddSettings().even * usual
-    kept = [np.flatnonzero(np.abs(step - usual) <= uneven) for step in steps]
+    shortest, longest = one_step(np.concatenate(steps), runs[0].time_unit)
+    kept = [np.flatnonzero((shortest <= step) & (step <= longest)) for step in steps]
     whole: list[np.ndarray] = [np.all(run.measured, axis=1) for run in runs]
     after = [run.measured[:, run.index(target)] for run in runs]
     if 2 * sum(map(len, kept)) < sum(map(len, steps)):
