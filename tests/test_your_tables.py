@@ -399,9 +399,45 @@ def test_the_date_that_is_counted_from_is_shown(tmp_path):
     assert found.to_dict()["time"]["begins"] == "2023-11-04"
 
 
-def test_a_code_for_no_value_is_reported_by_every_reading(tmp_path):
-    """Such numbers spoil a search, so that reading warns of them too."""
-    path = tmp_path / "codes.csv"
-    path.write_text(FORMS["a code for no value.csv"][0])
-    with pytest.warns(DynsrWarning, match="x is -999 in 3 of 24 rows"):
-        dynsr.data.read_trajectories(path)
+@pytest.mark.parametrize("code", [-999, -9999.0, -99.99, 9999, 1e30, -32768, 9.96921e36])
+@pytest.mark.parametrize("rows", [[4], [4, 13, 22], [*range(1, 15)]])
+def test_a_code_for_no_value_is_an_empty_cell(code, rows):
+    """Usual codes far from all others are read so with a warning, in files and in arrays."""
+    t, x = np.arange(24.0), np.array(FALL[:24])
+    x[rows] = code
+    for source in ({"t": t, "x": x, "y": t**2}, (t, np.column_stack([x, t**2]))):
+        with pytest.warns(DynsrWarning, match=r"in \d+ of 24 rows and else .* read as no value"):
+            (run,), _ = dynsr.data.take_trajectories(source)
+        assert np.flatnonzero(~run.measured[:, 0]).tolist() == rows
+        (kept,), _ = dynsr.data.take_trajectories(source, missing="none")
+        assert kept.measured.all() and kept.x[rows[0], 0] == code
+
+
+def test_numbers_that_may_be_values_are_kept_until_the_caller_says_otherwise():
+    """Neither 999 among hundreds nor a number that is no code is lost; missing= names any."""
+    t = np.arange(24.0)
+    for code in (999.0, -7.0, 0.0):
+        x = np.where(t % 9 == 4, code, 500.0 + 20 * t)
+        (run,), _ = dynsr.data.take_trajectories({"t": t, "x": x, "y": t**2})
+        assert run.measured.all()
+        for said in (code, [code], f"{code:g}"):
+            (run,), _ = dynsr.data.take_trajectories({"t": t, "x": x, "y": t**2}, missing=said)
+            assert np.flatnonzero(~run.measured[:, 0]).tolist() == [4, 13, 22]
+        assert run.t[0] == 0
+    subject = np.repeat([1.0, 2, 3, 4, 999], 24)
+    found = {"ID": subject, "t": np.tile(t, 5), "x": np.tile(FALL[:24], 5) * (1 + subject / 1e4)}
+    assert len(dynsr.data.read_trajectories(found).trajectories) == 5
+
+
+@pytest.mark.parametrize("said", ["x", [], [np.nan], {"x": 1}])
+def test_missing_takes_numbers(said):
+    """One line says what it takes."""
+    with pytest.raises(InputError, match="must be the numbers that stand for no value"):
+        dynsr.data.take_trajectories((np.arange(9.0), np.ones((9, 1))), missing=said)
+
+
+def test_a_number_that_is_far_from_all_others_is_reported_by_every_reading():
+    """It spoils a search, and the option that makes it an empty cell is named."""
+    x = np.where(np.arange(24) % 9 == 4, -7e3, FALL[:24])
+    with pytest.warns(DynsrWarning, match="x is -7000 in 3 of 24 rows.*--missing -7000"):
+        dynsr.data.read_trajectories({"t": np.arange(24.0), "x": x})

@@ -265,6 +265,7 @@ def discover(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    missing: options.Missing = None,
     method: options.MethodName = AUTO,
     preset: options.Preset = DEFAULT_PRESET,
     targets: Annotated[
@@ -472,6 +473,7 @@ def discover(
             "hold": options.read_hold(hold),
             "quantity": quantity,
             "decimal": decimal,
+            "missing": missing,
             "noise": options.read_noise(noise),
             "limits": options.read_limits(limits),
             "doses": said,
@@ -494,6 +496,7 @@ def discover(
                 hold,
                 quantity,
                 decimal,
+                missing,
                 notes.say,
                 noise,
                 given_doses,
@@ -502,7 +505,9 @@ def discover(
         else:
             given = [*(columns or []), *formulas]
             given_beside = [*(hold or []), *(doses or []), *(noise or []), *(limits or [])]
-            _refuse_columns(time_column, states, trajectory, given, given_beside, quantity, decimal)
+            _refuse_columns(
+                time_column, states, trajectory, given, given_beside, quantity, decimal, missing
+            )
             data, formulas = _training_data(str(system), engine)
         with on_cluster(cluster), SearchProgress(quiet) as progress:
             found, folder = _search_in(
@@ -572,6 +577,7 @@ def _refuse_columns(
     hold: list[str],
     quantity: str | None,
     decimal: str | None,
+    missing: str | None,
 ) -> None:
     """A known system has its columns; only a file leaves them open."""
     for option, value in (
@@ -582,6 +588,7 @@ def _refuse_columns(
         ("--hold, --dose or --noise", hold),
         ("--quantity", quantity),
         ("--decimal", decimal),
+        ("--missing", missing),
     ):
         if value:
             raise InputError(f"{option} goes with a file of data; a known system has its own")

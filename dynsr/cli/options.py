@@ -259,6 +259,16 @@ Decimal = Annotated[
         rich_help_panel=DATA,
     ),
 ]
+Missing = Annotated[
+    str | None,
+    typer.Option(
+        "--missing",
+        metavar="NUMBERS",
+        help="Numbers that stand for no value: -999,-1; none for no number. By default usual ones "
+        "far from all others.",
+        rich_help_panel=DATA,
+    ),
+]
 Quantity = Annotated[
     str | None,
     typer.Option(

@@ -156,13 +156,14 @@ def score(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    missing: options.Missing = None,
     engine: options.OwnEngine = None,
     doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
     """Score a saved discovery on data that it has not seen: slopes, and integrated states."""
     found = load_discovery(model)
-    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    how = (trajectory, hold, quantity, decimal, missing, _say_to(json))
     data = _load_for(found, files, time_column, states, inputs, doses, how)
     scores = found.score(data, engine, options.read_hold(hold))
     if json:
@@ -179,7 +180,7 @@ def _load_for(
     states: options.Names,
     inputs: options.Names,
     doses: options.Names,
-    how: tuple[Any, Any, Any, Any, Any],
+    how: tuple[Any, Any, Any, Any, Any, Any],
 ) -> list[Trajectory] | None:
     """Read files with the columns of a discovery, where they have them and no others are named.
 
@@ -193,7 +194,7 @@ def _load_for(
         if not found.trajectories:
             raise InputError("the data are not next to the discovery; name their file")
         return None
-    trajectory, _, _, decimal, say = how
+    trajectory, _, _, decimal, _, say = how
     said, _ = read_doses(doses)
     sources, of_table = take_doses(files, doses, time_column, trajectory, decimal)
     asked = found.columns_asked if states is None and inputs is None else {}
@@ -236,6 +237,7 @@ def profile(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    missing: options.Missing = None,
     doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
@@ -246,7 +248,7 @@ def profile(
     reports which parameters and combinations data of this kind can determine at all.
     """
     found = load_discovery(model)
-    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    how = (trajectory, hold, quantity, decimal, missing, _say_to(json))
     data = _load_for(found, files, time_column, states, inputs, doses, how)
     named = [found.profile(one, data) for one in constant or ()]
     profiles = named or found.profiles(data)
@@ -300,6 +302,7 @@ def suggest(
     trajectory: options.TrajectoryColumn = None,
     quantity: options.Quantity = None,
     decimal: options.Decimal = None,
+    missing: options.Missing = None,
     doses: options.Doses = None,
     json: options.Json = False,
 ) -> None:
@@ -311,7 +314,7 @@ def suggest(
     from dynsr.discovery import SuggestionSettings
 
     found = load_discovery(model)
-    how = (trajectory, hold, quantity, decimal, _say_to(json))
+    how = (trajectory, hold, quantity, decimal, missing, _say_to(json))
     data = _load_for(found, files, time_column, states, inputs, doses, how)
     settings = SuggestionSettings(beyond=beyond)
     made = found.suggest(data, rows=rows, span=span, seed=seed, settings=settings)
@@ -455,7 +458,7 @@ def export(
         raise InputError(f"give the discovery to write as {to}, its folder or its discovery.json")
     found = load_discovery(model)
     if files:
-        how = (None, None, None, None, _say_to(json))
+        how = (None, None, None, None, None, _say_to(json))
         runs = _load_for(found, files, None, None, None, None, how)
         found = replace(found, trajectories=tuple(runs or ()))
     source = Source.of(found)

@@ -1,5 +1,6 @@
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
+from .codes import Missing
 from .columns import Columns, load_columns, read_names_only
 from .describing import describe, describe_table
 from .description import Description, RunRows, TimeColumn
@@ -82,6 +83,7 @@ __all__ = [
     "KnownNoise",
     "Limits",
     "MeasuredSum",
+    "Missing",
     "MotionNoise",
     "OddSettings",
     "Oddity",

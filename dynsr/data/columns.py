@@ -21,6 +21,7 @@ from dynsr.data.assembling import (
     names_of_states,
     with_times,
 )
+from dynsr.data.codes import Missing, without_codes
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -35,7 +36,9 @@ __all__ = [
 ]
 
 
-def load_columns(source: Any, decimal: str | None = None) -> Columns:
+def load_columns(
+    source: Any, decimal: str | None = None, missing: Missing | None = None
+) -> Columns:
     """Load the columns of a file, a frame, a mapping of arrays, a Trajectory or a 2-D array.
 
     Files are recognised by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
@@ -50,12 +53,19 @@ def load_columns(source: Any, decimal: str | None = None) -> Columns:
     ----------
     source : any of these.
     decimal : the decimal mark of text in it, "." or ","; found by default.
+    missing : numbers that stand for no value, such as -999; "none" for no number. By default usual
+        ones that are far from all others of their column, but not in a Trajectory.
 
     Raises InputError when the source is not one of these or cannot be read.
 
     >>> load_columns({"t": [0, 1], "x": [2.0, 3.0]}).names
     ('t', 'x')
     """
+    found = _load(source, decimal)
+    return without_codes(found, missing, guess=not isinstance(source, Trajectory))
+
+
+def _load(source: Any, decimal: str | None) -> Columns:
     if decimal not in (None, ".", ","):
         raise InputError(f"decimal {decimal!r} must be '.' or ','")
     if isinstance(source, Columns):

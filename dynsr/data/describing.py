@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.arguments import checked
+from dynsr.data.codes import Missing
 from dynsr.data.description import Description
 from dynsr.data.names import RENAMED
 from dynsr.data.oddities import OddSettings, merge_places, odd_states, odd_times, odd_values
@@ -30,6 +31,7 @@ def describe(
     *,
     quantity: str | None = None,
     decimal: str | None = None,
+    missing: Missing | None = None,
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
     doses: Mapping[str, str] | None = None,
@@ -45,8 +47,8 @@ def describe(
     ----------
     source : what :func:`dynsr.data.read_trajectories` reads: a file, a frame, a mapping of columns,
         arrays, a Trajectory, or a list of these.
-    time, states, inputs, trajectory, quantity, decimal, hold, noise, doses, limits, max_rows : as
-        for :func:`dynsr.data.read_trajectories`.
+    time, states, inputs, trajectory, quantity, decimal, missing, hold, noise, doses, limits,
+        max_rows : as for :func:`dynsr.data.read_trajectories`.
     settings : the numbers that decide what looks odd.
 
     Raises InputError, one line that names the value and the remedy, when the table cannot be used.
@@ -67,6 +69,7 @@ def describe(
             trajectory,
             quantity=quantity,
             decimal=decimal,
+            missing=missing,
             hold=hold,
             noise=noise,
             doses=doses,

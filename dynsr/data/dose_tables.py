@@ -12,6 +12,7 @@ import numpy as np
 from dynsr.arguments import checked
 from dynsr.data.amounts import is_missing
 from dynsr.data.assembling import Columns
+from dynsr.data.codes import NONE
 from dynsr.data.columns import load_columns
 from dynsr.data.dosing import find_nonmem, is_dose_name
 from dynsr.data.grouping import find_restarts
@@ -80,7 +81,7 @@ def load_with_doses(
     Gives the columns of each file, and state -> column of its amounts. Raises InputError when the
     tables do not fit together, or nothing says which state the doses go to.
     """
-    given = load_columns(doses, decimal)
+    given = load_columns(doses, decimal, NONE)
     column = next((n for n in given.names if bare_name(n).lower() in _FILES), None)
     named = [] if column is None else _cells(given, column)
     known = {name for file in (*files, *others) for name in _names_of(file)}
@@ -89,7 +90,7 @@ def load_with_doses(
     merged = []
     for file in files:
         own = np.array([name in _names_of(file) for name in named]) if named else None
-        merged.append(_merge(load_columns(file, decimal), given, time, trajectory, own))
+        merged.append(_merge(load_columns(file, decimal, NONE), given, time, trajectory, own))
     for one in merged if named else ():
         _refuse_lost(one.lost, given, f"{one.columns.label} has no row")
     lost = {n: words for n, words in merged[0].lost.items() if all(n in m.lost for m in merged)}

@@ -211,7 +211,7 @@ def _marked(x: np.ndarray, rows: np.ndarray, others: np.ndarray) -> Iterator[Odd
             "mark",
             f"is {x[rows[0]]:.6g} in {len(rows)} of {len(x)} rows, where all others are "
             f"{x[others].min():.4g} to {x[others].max():.4g}",
-            "such a number often stands for no value; leave these cells empty",
+            f"such a number often stands for no value; then say so (--missing {x[rows[0]]:.6g})",
             (int(rows[0]), int(rows[-1])),
         )
 

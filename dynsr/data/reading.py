@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.data.codes import Missing, without_codes
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_doses, split_volume
@@ -68,6 +69,7 @@ def read_trajectories(
     *,
     quantity: str | None = None,
     decimal: str | None = None,
+    missing: Missing | None = None,
     hold: Mapping[str, str] | str | None = None,
     noise: Mapping[str, Any] | None = None,
     doses: Mapping[str, str] | None = None,
@@ -94,6 +96,8 @@ def read_trajectories(
     quantity : the column of a long table that says which quantity a row is of, each of which then
         gets a column of its own; guessed by default, and "none" for no such column.
     decimal : the decimal mark of numbers that are text, "." or ","; by default the cells show it.
+    missing : the numbers that stand for no value, such as -999; "none" for no number. By default
+        usual ones that are far from all others of their column are read so, with a note.
     hold : input -> what it does between rows: "previous" (keeps its value), "linear" or "smooth";
         or one of these words for all. By default the values show it.
     noise : state -> its measurement errors: a standard deviation in its units, a share of its size
@@ -143,6 +147,7 @@ def read_trajectories(
             trajectory,
             quantity,
             decimal,
+            missing,
             hold,
             noise,
             read_doses(doses),
@@ -152,9 +157,9 @@ def read_trajectories(
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
     if times is None:
-        columns = load_columns(source, decimal)
+        columns = load_columns(source, decimal, missing)
     else:
-        columns = _load_with_times(source, times, decimal)
+        columns = _load_with_times(source, times, decimal, missing)
     columns = _with_names(columns, states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
@@ -250,11 +255,11 @@ def _chosen(quantity: str | None) -> str | None:
     return "" if quantity is not None and quantity.strip().lower() in ("", "none") else quantity
 
 
-def _load_with_times(source: Any, t: Any, decimal: str | None) -> Columns:
+def _load_with_times(source: Any, t: Any, decimal: str | None, missing: Missing | None) -> Columns:
     """Load the columns of a source without times, and their times."""
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
-        return with_times(load_columns(source, decimal), t)
-    return load_columns((t, source))
+        return with_times(load_columns(source, decimal, missing), t)
+    return load_columns((t, source), missing=missing)
 
 
 def _check_first_column(t: np.ndarray, label: str) -> None:
@@ -292,6 +297,7 @@ def _read_list(
     trajectory: Sequence[str] | str | None,
     quantity: str | None,
     decimal: str | None,
+    missing: Missing | None,
     hold: Mapping[str, str] | str | None,
     noise: Mapping[str, Any] | None,
     doses: Mapping[str, str],
@@ -304,7 +310,7 @@ def _read_list(
     share = max(max_rows // len(sources), FEWEST_ROWS)
     tables, constants = [], []
     for source in sources:
-        load = cache(partial(_load_quietly, source, decimal))
+        load = cache(partial(_load_quietly, source, decimal, missing))
         own, known, errors = _those_of(source, load, states, inputs, noise)
         tables.append(
             read_trajectories(
@@ -315,6 +321,7 @@ def _read_list(
                 trajectory,
                 quantity=quantity,
                 decimal=decimal,
+                missing=missing,
                 noise=errors,
                 doses=_doses_of(load, doses),
                 limits=_limits_of(source, load, limits),
@@ -389,11 +396,11 @@ def _with_constants(tables: list[Table], constants: list[dict[str, float]]) -> l
     return found
 
 
-def _load_quietly(source: Any, decimal: str | None) -> Columns:
+def _load_quietly(source: Any, decimal: str | None, missing: Missing | None) -> Columns:
     """Give the columns of a source; what is said of them is said where they are read."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return load_columns(source, decimal)
+        return load_columns(source, decimal, missing)
 
 
 def _those_of(
@@ -733,6 +740,7 @@ def take_trajectories(
     decimal: str | None = None,
     noise: Mapping[str, Any] | None = None,
     limits: Mapping[str, Any] | None = None,
+    missing: Missing | None = None,
 ) -> tuple[list[Trajectory], dict[str, sympy.Expr]]:
     """Give the trajectories of the data, and the inputs that are known as expressions in ``t``.
 
@@ -753,6 +761,7 @@ def take_trajectories(
         list of one such array a trajectory.
     limits : state -> the limits of its measurement, as for
         :func:`dynsr.data.reading.read_trajectories`.
+    missing : as for :func:`dynsr.data.reading.read_trajectories`.
 
     Raises InputError when nothing usable is there.
 
@@ -775,9 +784,10 @@ def take_trajectories(
             errors,
             given or None,
             limits,
+            missing,
         )
     else:
-        runs = _read(data, columns, errors, given or None, limits)
+        runs = _read(data, columns, errors, given or None, limits, missing)
     if not runs:
         raise InputError("there is no trajectory in the data; give at least one")
     first = runs[0]
@@ -824,6 +834,7 @@ def _read(
     noise: Mapping[str, str] | None = None,
     doses: Mapping[str, str] | None = None,
     limits: Mapping[str, Any] | None = None,
+    missing: Missing | None = None,
 ) -> list[Trajectory]:
     if isinstance(data, Table):
         return data.trajectories
@@ -835,13 +846,13 @@ def _read(
         sources = [Source(f"trajectory {i}", [run]) for i, run in enumerate(data, start=1)]
         return join_sources(sources)[0]
     if _is_pair(data):
-        return [_from_arrays(*data)]
+        return [_from_arrays(data[0], data[1], missing)]
     # A tuple of runs is a list of runs.
     data = list(data) if isinstance(data, tuple) and data else data
     if isinstance(data, list) and data and all(map(_is_pair, data)):
-        return _in_one_unit([_from_arrays(*pair) for pair in data])
+        return _in_one_unit([_from_arrays(pair[0], pair[1], missing) for pair in data])
     return read_trajectories(
-        data, inputs=inputs, noise=noise, doses=doses, limits=limits
+        data, inputs=inputs, noise=noise, doses=doses, limits=limits, missing=missing
     ).trajectories
 
 
@@ -856,12 +867,13 @@ def _read_columns(
     noise: Mapping[str, str] | None = None,
     doses: Mapping[str, str] | None = None,
     limits: Mapping[str, Any] | None = None,
+    missing: Missing | None = None,
 ) -> list[Trajectory]:
     """Read trajectories whose columns the caller names."""
     data = data.trajectories if isinstance(data, Table) else data
     apart = time is not None and not _is_named(time, data)
     if apart and states is None and isinstance(data, np.ndarray) and not data.dtype.names:
-        return [_from_arrays(time, data)]
+        return [_from_arrays(time, data, missing)]
     return read_trajectories(
         data,
         time,
@@ -870,6 +882,7 @@ def _read_columns(
         trajectory,
         quantity=quantity,
         decimal=decimal,
+        missing=missing,
         noise=noise,
         doses=doses,
         limits=limits,
@@ -894,7 +907,7 @@ def _length(part: Any) -> int:
     return int(shape[0]) if shape else 0
 
 
-def _from_arrays(t: Any, x: Any) -> Trajectory:
+def _from_arrays(t: Any, x: Any, missing: Missing | None) -> Trajectory:
     for name, values in (("t", t), ("x", x)):
         lengths = {*map(_length, values)} if isinstance(values, (list, tuple)) else {0}
         if len(lengths) > 1:
@@ -905,7 +918,11 @@ def _from_arrays(t: Any, x: Any) -> Trajectory:
     table, unit = beside(t, x)
     names = names_of_states(table.shape[1] - 1)
     origin = {"time_unit": unit} if unit else {}
-    return Trajectory(table[:, 0], table[:, 1:], names, origin=origin)
+    found = without_codes(Columns(("t", *names), tuple(table.T), "the arrays"), missing)
+    for note in found.notes:
+        warnings.warn(note, DynsrWarning, stacklevel=2)
+    x = dict(zip(found.names, found.values, strict=True))
+    return Trajectory(x["t"], np.column_stack([x[n] for n in names]), names, origin=origin)
 
 
 def in_formulas(asked: Any, run: Trajectory) -> Any:

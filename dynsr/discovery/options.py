@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory, in_formulas, take_trajectories
+from dynsr.data import Missing, Trajectory, in_formulas, take_trajectories
 from dynsr.discovery.orders import Order
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from dynsr.discovery.start import Start
 
 # What is said of the columns before they are read, and what names columns afterwards.
-_COLUMNS = ("time", "states", "trajectory", "quantity", "decimal", "doses", "noise", "limits")
+_COLUMNS = (
+    "time", "states", "trajectory", "quantity", "decimal", "missing", "doses", "noise", "limits",
+)  # fmt: skip
 _NAMING = (
     "targets", "hold", "known", "slopes", "order", "must", "constraints", "nonnegative", "units",
     "vary", "observed",
@@ -50,6 +52,7 @@ class Options:
     trajectory: Sequence[str] | str | None = None
     quantity: str | None = None
     decimal: str | None = None
+    missing: Missing | None = None
     method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO
     preset: str = DEFAULT_PRESET
     targets: str | Sequence[str] = "all"

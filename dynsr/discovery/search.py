@@ -14,7 +14,7 @@ import sympy
 from threadpoolctl import threadpool_limits
 
 from dynsr.arguments import checked
-from dynsr.data import Trajectory, read_sums
+from dynsr.data import Missing, Trajectory, read_sums
 from dynsr.discovery.apart import check_vary, search_apart
 from dynsr.discovery.asked import FLAGS, check_asked
 from dynsr.discovery.confirmation import confirm
@@ -54,6 +54,7 @@ def discover(
     trajectory: Sequence[str] | str | None = None,
     quantity: str | None = None,
     decimal: str | None = None,
+    missing: Missing | None = None,
     method: str | AbstractMethod | Sequence[str | AbstractMethod] = AUTO,
     preset: str = DEFAULT_PRESET,
     targets: str | Sequence[str] = "all",
@@ -108,6 +109,8 @@ def discover(
     quantity : the column of a long table that names the quantity of each row. Each quantity gets
         its own column. Guessed by default; "none" for a table without such a column.
     decimal : the decimal mark of numbers that are text, "." or ","; guessed by default.
+    missing : the numbers that stand for no value, such as -999; "none" for no number. By default
+        usual ones that are far from all others of their column are read so, with a note.
     method : "auto", the name of a method, a method with its settings, or several.
     preset : "best", "quick" or "paper".
     targets : the states whose equations are searched; "all" by default.
