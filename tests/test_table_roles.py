@@ -790,3 +790,20 @@ def test_a_unit_may_stand_behind_a_slash():
     run = dynsr.data.read_trajectories(table).trajectories[0]
     assert run.states == ("x", "v", "gain_loss") and run.time_unit == "s"
     assert run.origin["units"] == {"x": "m", "v": "m/s"}
+
+
+def test_errors_and_counts_in_wide_tables_are_no_states():
+    """Columns called sd, each after its state, and numbers of replicates say nothing of laws."""
+    errors = 0.1 + 0.01 * DECAY, 0.1 + 0.02 * RISE
+    for word in ("sd", "\u00b1"):
+        names = ["t", "x", word, "y", word]
+        frame = pd.DataFrame(np.column_stack([T, DECAY, errors[0], RISE, errors[1]]), columns=names)
+        with pytest.warns(dynsr.errors.DynsrWarning, match="is used twice"):
+            (run,) = read_trajectories(frame).trajectories
+        assert run.states == ("x", "y") and not run.input_names
+        assert np.allclose(run.noise["y"].sd, errors[1])
+    counted = {"t": T, "x_mean": DECAY, "x_sem": errors[0], "x_n": 3.0 + np.arange(N) // 10}
+    run = one(counted)
+    assert run.names == ("x_mean",)
+    run = one({"t": T, "x (mean)": DECAY, "x (sd)": errors[0]})
+    assert run.names == ("x",) and not run.origin.get("units")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from dynsr.data.name_parts import bare_name, bracketed_unit
+from dynsr.data.name_parts import MEAN, bare_name, bracketed_unit
 
 _ERROR = (
     r"s\.?d\.?|se|sem|std(?:[ _.]?(?:dev|err|error))?|stdev|stderr|err(?:or)?|sigma|uncertainty|unc"
@@ -15,7 +15,8 @@ _ERROR_BEFORE = re.compile(
     rf"(?:(?:{_ERROR})[\s_.-]+(?:of[\s_.-]+)?|±\s*|\+/?-\s*)(?P<stem>.+)", re.IGNORECASE
 )
 _ERROR_ALONE = re.compile(rf"(?:{_ERROR}|±|\+/?-)", re.IGNORECASE)
-_MEAN = re.compile(r"[\s_.-]*(?:mean|avg|average|median|value|mittel\w*|mw)[\s_.-]*", re.IGNORECASE)
+_MEAN = re.compile(rf"[\s_.-]*(?:{MEAN.pattern})[\s_.-]*", re.IGNORECASE)
+_COUNT = re.compile(r"(?P<stem>.+?)[\s_.-]+n|n[\s_.-]+(?P<other>.+)", re.IGNORECASE)
 
 
 def find_measured(name: str, others: Sequence[str]) -> str | None:
@@ -48,6 +49,25 @@ def is_error_name(name: str) -> bool:
     """
     own = _own_name(name)
     return any(p.fullmatch(own) for p in (_ERROR_ALONE, _ERROR_BEHIND, _ERROR_BEFORE))
+
+
+def is_error_word(name: str) -> bool:
+    """Whether a column is called errors, and not of what.
+
+    >>> is_error_word("sd"), is_error_word("±"), is_error_word("glc_sd")
+    (True, True, False)
+    """
+    return _ERROR_ALONE.fullmatch(name.strip()) is not None
+
+
+def counts_values(name: str, measured: str) -> bool:
+    """Whether a column says how many values each mean of a measured column is of.
+
+    >>> counts_values("glc_n", "glc_mean"), counts_values("n", "glc_mean")
+    (True, False)
+    """
+    found = _COUNT.fullmatch(bare_name(name))
+    return found is not None and _stem(found["stem"] or found["other"]) == _stem(measured)
 
 
 def _own_name(name: str) -> str:

@@ -28,6 +28,8 @@ GIVEN = re.compile(
     r"(?P<which>[-+]?\d+(?:[.,]\d+)?)\s*(?:[^\W\d_][\w/^%]*)?\s*[\])]?",
     re.IGNORECASE,
 )
+# What says that values are means, which is no unit.
+MEAN = re.compile(r"mean|avg|average|median|value|mittel\w*|mw", re.IGNORECASE)
 # A number or a letter alone, which may be anything else too.
 NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
 LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.IGNORECASE)
@@ -65,4 +67,5 @@ def bracketed_unit(name: str) -> str:
     if divided := _take_unit(name):
         return divided[1]
     found = _UNIT.search(name)
-    return "" if found is None else found[0].strip().strip("[]()").strip()
+    unit = "" if found is None else found[0].strip().strip("[]()").strip()
+    return "" if MEAN.fullmatch(unit) else unit

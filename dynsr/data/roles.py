@@ -14,7 +14,12 @@ from dynsr.data.columns import Columns
 from dynsr.data.dosing import find_amounts, refuse_amounts
 from dynsr.data.grouping import Grouping, is_text
 from dynsr.data.lines import ROUNDED, is_second_time, numbers_phases, numbers_rows
-from dynsr.data.measurement_errors import find_measured
+from dynsr.data.measurement_errors import (
+    counts_values,
+    find_measured,
+    is_error_name,
+    is_error_word,
+)
 from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import clean_name, find_column, list_names, rename
 from dynsr.data.noise_model import is_still
@@ -97,15 +102,13 @@ def guess_roles(
     known = None if inputs is None else [find_column(name, columns, "input") for name in inputs]
     chosen = None if states is None else [find_column(name, columns, "state") for name in states]
     taken = {*time.columns, *grouping.trajectory, *grouping.labels, *(known or []), *(chosen or [])}
-    left_out = dict(time.left_out)
     said = _find_errors(errors or {}, columns)
-    left_out |= {own: f"is the noise of {state!r}" for state, own in said.items()}
     given = _find_doses(doses or {}, columns)
     taken |= {*said.values(), *given.values()}
+    errors_of = {own: f"is the noise of {state!r}" for state, own in said.items()}
+    left_out = {**time.left_out, **errors_of}
     free = [n for n in columns.names if n not in taken and n not in left_out]
-    for name in free:
-        if clean_name(name) in formulas:
-            left_out[name] = "is given as a formula"
+    left_out |= {n: "is given as a formula" for n in free if clean_name(n) in formulas}
     free = [n for n in free if n not in left_out]
     amounts = find_amounts(columns, free, grouping.codes)
     apart = [n for n in (*grouping.parameters,) if n not in (known or ())]
@@ -116,7 +119,8 @@ def guess_roles(
         left_out |= look.redundant(unsaid, known or [])
     moving = [n for n in free if n not in left_out and n not in apart]
     noise = look.noise_columns_of(chosen, moving, said)
-    left_out |= {own: f"is the noise of {state!r}" for state, own in noise.items()}
+    of_noise = {own: f"is the noise of {state!r}" for state, own in noise.items()}
+    left_out |= of_noise | look.counts(noise, moving if chosen is None else ())
     free = [n for n in free if n not in left_out]
     if known is None:
         known = _guess_inputs([n for n in free if n not in apart], columns, chosen)
@@ -217,6 +221,11 @@ def _check_roles(
         )
 
 
+def _is_called(name: str, own: str) -> bool:
+    """Whether a column has a name that several columns have, perhaps with a number behind it."""
+    return name == own or re.fullmatch(re.escape(own) + r"_\d+", name) is not None
+
+
 class _Look:
     """Looks at the columns other than the times and the trajectories."""
 
@@ -286,10 +295,29 @@ class _Look:
             values = self._values(name)
             if np.any(values < 0):
                 continue
-            state = find_measured(name, [n for n in numbers if n != name])
+            others = [n for n in numbers if n != name]
+            state = self._right_before(name, others) or find_measured(name, others)
             if state is not None and state not in found.values() and state not in found:
                 found[state] = name
         return found
+
+    def _right_before(self, name: str, others: Sequence[str]) -> str | None:
+        """Give the column before one of several that are all called sd, as in x, sd, y, sd."""
+        called = next((own for own in self._columns.twice if _is_called(name, own)), "")
+        if not is_error_word(called):
+            return None
+        before = self._columns.names[self._columns.names.index(name) - 1]
+        return before if before in others and not is_error_name(before) else None
+
+    def counts(self, noise: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+        """Give the columns that say how many values each mean with an error is of."""
+        return {
+            name: f"is how many values {state!r} is the mean of"
+            for name in names
+            if self._is_number(name)
+            for state in noise
+            if counts_values(name, state) and np.all(np.nan_to_num(self._values(name)) % 1 == 0)
+        }
 
     def noise_columns_of(
         self, chosen: Sequence[str] | None, moving: Sequence[str], said: Mapping[str, str]
