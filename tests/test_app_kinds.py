@@ -10,6 +10,7 @@ import pytest
 import dynsr
 from dynsr.app import work as works
 from dynsr.app.desk import OF_COLUMNS
+from dynsr.app.fields import in_fields
 from dynsr.app.work import FILES, Work, read_options
 from dynsr.data import Trajectory
 from dynsr.discovery import Delay
@@ -283,6 +284,42 @@ def test_formulas_of_a_search_that_was_ended_must_be_of_columns(desk):
     desk.look(decays())
     with pytest.raises(InputError, match="the best so far contains 'x_delayed', which only"):
         desk.keep({"x": "-x_delayed"}, {**QUICK, "delays": "*"})
+
+
+def test_notes_name_the_fields_of_the_page(desk):
+    """Where the shell has options, the page has roles, fields of columns and ticks."""
+    shown = desk.look({**limited(), "F": np.repeat([0.0, 2.0], [15, 16])})
+    notes = " ".join(shown["notes"])
+    assert "say the limit, and they count: the field 'limit' of drug" in notes
+    assert "the role 'state' says otherwise" in notes and "--" not in notes
+    wrong = desk.change(roles={"t": "unused", "S": "time"})["error"]
+    assert "--" not in wrong
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        (
+            "name it, e.g. --time seconds, or add",
+            "name it, e.g. the role 'time' for seconds, or add",
+        ),
+        (
+            "--quantity none says otherwise.",
+            "another role than 'names the quantity' says otherwise.",
+        ),
+        (
+            "say: --dose S=D/V.",
+            "say: the role 'doses of a state' for D, divided by a volume, added to S.",
+        ),
+        ("its rows (--hold).", "its rows (the field 'between rows')."),
+        ("try --order x=2.", "try 'equations for accelerations'."),
+        ("--decimal says the mark", "the option --decimal of the shell says the mark"),
+        ("a -- b, x--states, 3--4", "a -- b, x--states, 3--4"),
+    ],
+)
+def test_every_option_has_its_field(said, shown):
+    """What the page has no field for is said to be an option of the shell."""
+    assert in_fields({"notes": [said], "python": said}) == {"notes": [shown], "python": said}
 
 
 def limited():

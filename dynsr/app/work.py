@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynsr.app.fields import in_fields
 from dynsr.data import (
     Columns,
     bracketed_unit,
@@ -109,7 +110,8 @@ class Work:
 
     def __init__(self, folder: Path, say: Say, jobs: int = -1) -> None:
         """Begin without data."""
-        self._folder, self._say, self._jobs = folder, say, jobs
+        self._folder, self._jobs = folder, jobs
+        self._say: Say = lambda name, content: say(name, in_fields(content))
         self._source: tuple[str, Columns] | None = None
         self._reshaped: tuple[str, ...] = ()
         # Column that is called the errors of a state -> that state.

@@ -16,6 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
+from dynsr.app.fields import in_fields
 from dynsr.errors import in_words
 from dynsr.jobs import signal_main
 
@@ -143,5 +144,5 @@ def _do(work: Work, verb: str, arguments: dict[str, Any]) -> str:
             import traceback
 
             traceback.print_exc()
-        return in_words(error)
+        return in_fields(in_words(error))
     return ""
