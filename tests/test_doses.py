@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.data import Trajectory, choose_samples, column_units, cut_at_doses, take_trajectories
+from dynsr.data import (
+    Trajectory,
+    choose_samples,
+    column_units,
+    cut_at_doses,
+    read_trajectories,
+    take_trajectories,
+)
 from dynsr.errors import DynsrWarning, InputError
 
 RATE = 0.6
@@ -193,13 +200,73 @@ def test_a_table_of_nonmem_is_cut_at_its_doses(tmp_path):
         assert np.all(slopes < 0)  # no part has a jump inside
 
 
-def test_doses_that_other_columns_repeat_are_refused(tmp_path):
-    """A column of further doses cannot be left out without a word."""
+def test_doses_that_last_are_refused(tmp_path):
+    """A column of rates cannot be left out without a word."""
     path = tmp_path / "pk.csv"
     rows = "\n".join(f"{a},{10 if a == 0 else '.'},{20 - a},{1 - (a > 0)},5" for a in range(12))
-    path.write_text(f"TIME,AMT,DV,EVID,ADDL\n{rows}")
-    with pytest.raises(InputError, match=r"'ADDL' of pk\.csv is 5 in row 1"):
+    path.write_text(f"TIME,AMT,DV,EVID,RATE\n{rows}")
+    with pytest.raises(InputError, match=r"'RATE' of pk\.csv is 5 in row 1"):
         dynsr.describe(path, doses={"DV": "AMT"})
+
+
+def nonmem(**columns):
+    """Give a table of NONMEM of two subjects: a dose at 0 with DV = 0, and twelve measurements."""
+    t = np.tile(np.arange(0.0, 13), 2)
+    given = t == 0
+    known = {
+        "ID": np.repeat([7.0, 12], 13),
+        "TIME": t,
+        "AMT": np.where(given, 10.0, 0.0),
+        "DV": np.where(given, 0.0, 5 * np.exp(-0.3 * t)),
+        "EVID": given.astype(float),
+        "MDV": given.astype(float),
+    }
+    return known | {name: own(t) for name, own in columns.items()}
+
+
+def test_a_row_of_a_dose_has_no_measurement():
+    """DV is 0 there by habit, and AMT is 0 elsewhere: neither is a value."""
+    runs, _ = take_trajectories(nonmem(), doses={"DV": "AMT/V"})
+    assert not any(np.any(run.x[run.measured] == 0) for run in runs)
+    with pytest.raises(InputError, match="say which state jumps by them"):
+        take_trajectories(nonmem())
+
+
+def test_censored_values_are_limits():
+    """CENS says below, or above, what DV has; LLOQ is then no input."""
+    table = nonmem(CENS=lambda t: np.where(t > 8, 1.0, 0.0), LLOQ=lambda t: 0 * t + 0.4)
+    table["DV"] = np.where(table["CENS"] > 0, 0.4, table["DV"])
+    found = dynsr.describe(table, doses={"DV": "AMT/V"})
+    assert found.states == ("DV",) and not found.inputs
+    runs, _ = take_trajectories(table, doses={"DV": "AMT/V"})
+    assert sum(int(run.limits["DV"].there.sum()) for run in runs) == 8
+    below = np.concatenate([run.limits["DV"].below for run in runs])
+    assert np.unique(below[np.isfinite(below)]).tolist() == [0.4]
+
+
+def test_doses_that_are_given_again_have_rows():
+    """ADDL doses follow, II apart: each cuts the run, and the other subject keeps its one."""
+    table = nonmem(
+        ADDL=lambda t: np.where(np.arange(26) == 0, 2.0, 0.0),
+        II=lambda t: np.where(np.arange(26) == 0, 4.0, 0.0),
+    )
+    given = dynsr.describe(table, doses={"DV": "AMT/V"})
+    assert given.given == {"DV": 4}
+    (first, other) = read_trajectories(table, doses={"DV": "AMT/V"}).trajectories
+    assert first.t[first.by_name["AMT"] == 10].tolist() == [0, 4, 8]
+    assert other.t[other.by_name["AMT"] == 10].tolist() == [0]
+
+
+@pytest.mark.parametrize("which", ["DVID", "CMT"])
+def test_each_quantity_of_nonmem_is_a_state(which):
+    """A drug and its metabolite are no replicates of one moment."""
+    both = {name: np.repeat(own, 2) for name, own in nonmem().items()}
+    number = np.tile([1.0, 2.0], 26)
+    both |= {which: number, "DV": both["DV"] * np.where(number == 2, 0.1, 1)}
+    once = (both["EVID"] == 0) | (number == 1)
+    found = dynsr.describe({n: own[once] for n, own in both.items()}, doses={"DV_1": "AMT/V"})
+    assert found.states == ("DV_1", "DV_2") and not found.inputs
+    assert any("24 rows had other columns filled" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("empty", ["", "0"])

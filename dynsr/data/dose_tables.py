@@ -14,10 +14,11 @@ from dynsr.data.amounts import is_missing
 from dynsr.data.assembling import Columns
 from dynsr.data.codes import NONE
 from dynsr.data.columns import load_columns
-from dynsr.data.dosing import find_nonmem, is_dose_name
+from dynsr.data.dosing import is_dose_name
 from dynsr.data.grouping import find_restarts
 from dynsr.data.name_parts import bare_name
 from dynsr.data.names import clean_name, find_column
+from dynsr.data.nonmem import find_nonmem
 from dynsr.data.time_columns import Times, find_time
 from dynsr.data.times import convert_times
 from dynsr.errors import InputError

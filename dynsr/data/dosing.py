@@ -29,9 +29,6 @@ _DOSE = re.compile(
 _VOLUME = re.compile(
     r"(?P<column>.+?)\s*/\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d[\d.]*(?:e[-+]?\d+)?))\s*"
 )
-# Columns of NONMEM next to AMT: what kind a row is, and what repeats or lengthens a dose.
-_KINDS = ("evid", "mdv", "cmt")
-_MORE = ("rate", "addl", "ii", "ss")
 
 
 @dataclass(frozen=True)
@@ -242,32 +239,6 @@ def refuse_amounts(
         )
 
 
-def find_nonmem(columns: Columns, label: str) -> dict[str, str]:
-    """Give the columns of NONMEM that only say what kind a row is, with the reason.
-
-    Parameters
-    ----------
-    columns : the columns of the source.
-    label : what a message calls the source.
-
-    There must be a column AMT. Raises InputError where doses are repeated or last by other columns.
-    """
-    own = {name.lower(): name for name in columns.names}
-    if "amt" not in own or not set(own) & {"evid", "mdv"}:
-        return {}
-    for key in _MORE:
-        values = columns.values[columns.names.index(own[key])] if key in own else np.zeros(0)
-        if values.dtype.kind == "f" and np.any(np.nan_to_num(values) != 0):
-            row = int(np.flatnonzero(np.nan_to_num(values) != 0)[0])
-            raise InputError(
-                f"column {own[key]!r} of {label} is {values[row]:g} in row {row + 1}: doses are "
-                "read one row each; write a row for each dose, and an infusion as a column of its "
-                "rate, which is an input"
-            )
-    codes = [own[key] for key in (*_KINDS, *_MORE) if key in own]
-    return dict.fromkeys(codes, "says what kind a row is (NONMEM)")
-
-
 def split_after_doses(
     codes: np.ndarray, t: np.ndarray, amounts: np.ndarray, measured: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -404,5 +375,6 @@ def _cut(
 
 def _measured(part: Trajectory) -> Trajectory:
     """Leave rows at the ends out in which only a dose was written."""
-    there = np.flatnonzero(np.isfinite(part.observed).any(axis=1))
+    seen = [np.isfinite(part.observed).any(axis=1), *(own.there for own in part.limits.values())]
+    there = np.flatnonzero(np.any(seen, axis=0))
     return part.select(slice(there[0], there[-1] + 1)) if there.size else part

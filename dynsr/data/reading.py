@@ -26,7 +26,7 @@ from dynsr.data.grouping import differ_as_parameter, find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.limits import limit_cells, read_limits
-from dynsr.data.names import clean_name, find_column
+from dynsr.data.names import clean_name
 from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles, constants_left_out
@@ -191,7 +191,7 @@ def read_trajectories(
         asked.formulas,
         found.left_out,
         found.notes,
-        _volumes(read_doses(doses), columns),
+        _volumes(read_doses(doses), found.roles),
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
@@ -206,13 +206,14 @@ def _without_replaced(found: Understood, given: Collection[str]) -> Understood:
     return replace(found, roles=replace(roles, noise=noise), left_out={**found.left_out, **why})
 
 
-def _volumes(doses: Mapping[str, str], columns: Columns) -> dict[str, str]:
+def _volumes(doses: Mapping[str, str], roles: Roles) -> dict[str, str]:
     """Give state of the source -> what its amounts are divided by, where they are."""
     split = {state: split_volume(text)[1] for state, text in doses.items()}
     return {
-        find_column(state, columns, "state"): volume if isinstance(volume, str) else f"{volume:g}"
+        name: volume if isinstance(volume, str) else f"{volume:g}"
         for state, volume in split.items()
-        if volume != 1.0
+        for name in roles.doses
+        if volume != 1.0 and state in (name, roles.renamed[name])
     }
 
 

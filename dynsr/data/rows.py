@@ -175,6 +175,11 @@ def _report_repeats(
     often = sum(len(rows) for _, rows in grouping.rows()) - sum(len(run.t) for run in runs)
     rows, were = ("1 row", "was") if often == 1 else (f"{often} rows", "were")
     place = f" ({_first_repeated(grouping, t):g})" if often == 1 else ""
+    if not any(run.spreads for run in runs):
+        return [
+            f"{rows} had other columns filled than the row of the same time{place} and {were} put "
+            "together with it."
+        ]
     if not any(noise.values()):
         return [
             f"{rows} {'is a copy' if often == 1 else 'are copies'} of the row of the same time"

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynsr.data.calendars import join_calendar
 from dynsr.data.columns import Columns
-from dynsr.data.dosing import Dosing, find_nonmem, split_after_doses
+from dynsr.data.dosing import Dosing, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
@@ -17,6 +17,7 @@ from dynsr.data.limits import Limits, Range, limit_cells
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.name_parts import bracketed_unit
 from dynsr.data.names import clean_name, find_column
+from dynsr.data.nonmem import find_nonmem, read_nonmem
 from dynsr.data.replicates import find_replicates, find_summaries, stack_replicates
 from dynsr.data.roles import Roles, guess_roles
 from dynsr.data.rows import Run, order_rows, pooled_noise
@@ -162,12 +163,13 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
 
 
 def _without_kinds(columns: Columns, asked: Asked) -> Columns:
-    """Leave columns of NONMEM out that only say what kind a row is."""
+    """Read rows of NONMEM as their codes say, and leave the columns of these out."""
     asked_for = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
     said = _named(asked_for, columns)
     kinds = {n: why for n, why in find_nonmem(columns, columns.label).items() if n not in said}
     if not kinds:
         return columns
+    columns = read_nonmem(columns)
     kept = columns.only([name for name in columns.names if name not in kinds])
     return replace(kept, left_out={**columns.left_out, **kinds})
 
