@@ -807,3 +807,31 @@ def test_errors_and_counts_in_wide_tables_are_no_states():
     assert run.names == ("x_mean",)
     run = one({"t": T, "x (mean)": DECAY, "x (sd)": errors[0]})
     assert run.names == ("x",) and not run.origin.get("units")
+
+
+@pytest.mark.parametrize(
+    ("turn", "low"), [(360, 0), (360, -180), (2 * np.pi, 0), (2 * np.pi, -np.pi)]
+)
+def test_an_angle_that_goes_round_goes_on(turn, low):
+    """There are no jumps by a turn, in either direction, over empty cells, in files and arrays."""
+    t = np.linspace(0, 10, 101)
+    angle = turn * (0.3 + 0.02 * t * (8 - t))
+    wrapped = (angle - low) % turn + low
+    wrapped[[20, 21]] = np.nan
+    for source in ({"t": t, "phi": wrapped, "y": t**2}, (t, np.column_stack([wrapped, t**2]))):
+        with pytest.warns(dynsr.errors.DynsrWarning, match="as an angle does"):
+            (run,), _ = dynsr.data.take_trajectories(source)
+        offset = run.x[0, 0] - angle[0]
+        there = run.measured[:, 0]
+        assert there.sum() == 99 and np.allclose(run.x[there, 0], angle[there] + offset)
+
+
+def test_what_jumps_and_is_no_angle_stays():
+    """Switches between 0 and 360, sawteeth with falls of their own, and states as given."""
+    t = np.linspace(0, 10, 101)
+    switch, saw = 360.0 * (t % 4 > 2), np.abs(360 - (72 * t) % 720) * 0.999
+    for x in (switch + 0.001 * t, saw, 50 * t % 300):
+        assert np.array_equal(one({"t": t, "x": x, "y": t**2}, states=["x", "y"]).x[:, 0], x)
+    own = dynsr.Trajectory(t, (90 * t % 360)[:, None], ("x",))
+    (run,), _ = dynsr.data.take_trajectories(own)
+    assert np.array_equal(run.x, own.x)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from dynsr.data.angles import unwrap_angles
 from dynsr.data.codes import Missing, without_codes
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
@@ -156,11 +157,7 @@ def read_trajectories(
         )
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
-    if times is None:
-        columns = load_columns(source, decimal, missing)
-    else:
-        columns = _load_with_times(source, times, decimal, missing)
-    columns = _with_names(columns, states)
+    columns = _with_names(_load_with_times(source, times, decimal, missing), states)
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     if isinstance(source, Trajectory) and states is None:
@@ -175,10 +172,7 @@ def read_trajectories(
     if isinstance(source, Trajectory) and [len(run) for run in found.runs] == [len(source)]:
         found = replace(found, runs=[replace(run, noise=source.noise) for run in found.runs])
     _check_dose_units(found.runs[0], read_doses(doses), found.roles)
-    marks = odd_marks(found.runs)
-    for note in marks:
-        warnings.warn(note, DynsrWarning, stacklevel=2)
-    found = replace(found, notes=(*found.notes, *marks))
+    found = _look_at_values(found, isinstance(source, Trajectory))
     runs = say_limits(found.runs, limits, found.roles.renamed)
     found = replace(found, notes=(*found.notes, *_count_limits(runs, limits, found.roles)))
     runs = say_noise(runs, noise, found.roles.renamed)
@@ -195,6 +189,15 @@ def read_trajectories(
     )
     told = _told(runs, understood.sentence, understood)
     return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+
+
+def _look_at_values(found: Understood, given: bool) -> Understood:
+    """Say what looks odd in the values, and let angles go on unless the caller made the states."""
+    runs, turns = (found.runs, []) if given else unwrap_angles(found.runs)
+    notes = [*odd_marks(found.runs), *turns]
+    for note in notes:
+        warnings.warn(note, DynsrWarning, stacklevel=3)
+    return replace(found, runs=runs, notes=(*found.notes, *notes))
 
 
 def _without_replaced(found: Understood, given: Collection[str]) -> Understood:
@@ -257,7 +260,9 @@ def _chosen(quantity: str | None) -> str | None:
 
 
 def _load_with_times(source: Any, t: Any, decimal: str | None, missing: Missing | None) -> Columns:
-    """Load the columns of a source without times, and their times."""
+    """Load the columns of a source, and times that the caller gives; None where it has them."""
+    if t is None:
+        return load_columns(source, decimal, missing)
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
         return with_times(load_columns(source, decimal, missing), t)
     return load_columns((t, source), missing=missing)
@@ -923,7 +928,11 @@ def _from_arrays(t: Any, x: Any, missing: Missing | None) -> Trajectory:
     for note in found.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     x = dict(zip(found.names, found.values, strict=True))
-    return Trajectory(x["t"], np.column_stack([x[n] for n in names]), names, origin=origin)
+    made = Trajectory(x["t"], np.column_stack([x[n] for n in names]), names, origin=origin)
+    (run,), turns = unwrap_angles([made])
+    for note in turns:
+        warnings.warn(note, DynsrWarning, stacklevel=2)
+    return run
 
 
 def in_formulas(asked: Any, run: Trajectory) -> Any:
