@@ -1,6 +1,7 @@
 import html
 import re
 import shlex
+import time
 from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,6 +11,7 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from test_profile_likelihood import noisy_rabbits
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery import DiscoverySettings
@@ -21,6 +23,7 @@ from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs import to_plain
 from dynsr.methods import choose_methods
+from dynsr.report import discovery as discovery_report
 from dynsr.report.discovery import place_front, render_discovery, show_branches
 
 
@@ -352,3 +355,19 @@ def test_the_fixed_points_are_drawn_along_the_constant_that_changes_them():
     assert "1 stable -> 1 saddle, 2 stable" in picture.caption
     driven = Discovery({"x": parse("cos(t) - x")}, {}, {}, {}, (run.of_states(["x"]),))
     assert show_branches(driven) is None
+
+
+def test_a_report_does_not_wait_for_an_experiment_that_takes_long(monkeypatch):
+    """What takes longer is named as a command of its own."""
+    found = noisy_rabbits(0.05)
+    doubtful = replace(found, verdict=replace(found.verdict, level="approximation"))
+
+    def endless(*_, **__):
+        until = time.monotonic() + 20
+        while time.monotonic() < until:
+            pass
+        pytest.fail("nobody ended it")
+
+    monkeypatch.setattr(Discovery, "suggest", endless)
+    monkeypatch.setattr(discovery_report, "_SECONDS_TO_SUGGEST", 0.1)
+    assert "dynsr suggest with the folder" in render_discovery(doubtful)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
+from time import monotonic
 from typing import Any
 from urllib.parse import quote as quote_url
 
@@ -49,7 +50,7 @@ from dynsr.expression import (
     write_line,
 )
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
-from dynsr.jobs import to_plain
+from dynsr.jobs import finish_by, to_plain
 from dynsr.methods import choose_methods
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
@@ -195,6 +196,8 @@ def _ticks(largest: float) -> list[float]:
 _FITTED = "the fit to the states"
 _MOST_RUNS = 3
 _MOST_PROFILES = 12
+# A page is waited for. What takes longer has a command of its own.
+_SECONDS_TO_SUGGEST = 10.0
 _CURVE_ROWS = 21
 _ROUNDED = " Fitted: the number before it was made a simple one."
 _PROFILED = " Where the standard error is wrong, the interval is that of the profile likelihood."
@@ -368,9 +371,13 @@ def _suggestion(found: Discovery) -> Table | None:
     if not _is_doubtful(found) or found.verdict.level == "law":
         return None
     try:
-        made = found.suggest()
+        made, late = finish_by(monotonic() + _SECONDS_TO_SUGGEST, found.suggest, lambda: None)
     except DynsrError:  # too few rows, or not to be followed
         return None
+    if late or made is None:
+        how = ("found.suggest(), or dynsr suggest with the folder of the discovery",)
+        note = "To find the experiment that distinguishes formulas takes longer than this report."
+        return Table("suggestion", "The next experiment", ("how to find it",), (how,), note)
     note = (
         f"{made.heading} Each has {made.size}. A bit is a factor of two in how likely one is "
         "against the other, as is expected before the experiment is made."
