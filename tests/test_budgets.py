@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.discovery import problem, search, stages, tasks
+from dynsr.discovery import hidden, problem, search, stages, tasks
 from dynsr.jobs import End, TimeUp, finish_by, time_limit
 from dynsr.jobs.budget import uncut
 
@@ -85,6 +85,15 @@ def test_an_answer_in_no_time_has_an_end_itself(monkeypatch):
     monkeypatch.setattr(tasks, "look", endless)
     found = dynsr.discover(EXACT, jobs=1, time_budget=0.2)
     assert str(found.equations["x"].subs("x", 1.2).evalf(5)) == "-0.70000"
+
+
+def test_a_hidden_state_that_is_not_found_in_time_leaves_the_equations_without_it(monkeypatch):
+    """There is an answer, and it says that no equations with the hidden state were found."""
+    monkeypatch.setattr(hidden, "best_alone", endless)
+    found = dynsr.discover(EXACT, hidden="y", jobs=1, time_budget=2.0)
+    assert str(found.equations["x"]) == "0.14 - 0.7*x"
+    assert "No equations with y were found in this time" in found.explanation["x"]
+    assert "hidden" in found.settings["ended_by_budget"]
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any
 from warnings import warn
 
@@ -337,7 +338,14 @@ def _search_both(runs: Sequence[Trajectory], options: Options, name: str) -> Dis
     if found is not None and (found.verdict.level == LAW or not found.complete):
         alone = None
     else:
+        late = found is None and monotonic() >= budget.until(options.details.shares.choices)
         alone = _search(runs, replace(options, out=None, time_budget=budget.rest()))
+        if late:
+            said = f" No equations with {name} were found in this time; give more."
+            ended = [*alone.settings.get("ended_by_budget", ()), "hidden"]
+            words = {state: why + said for state, why in alone.explanation.items()}
+            settings = {**alone.settings, "ended_by_budget": ended}
+            found, alone = replace(alone, explanation=words, settings=settings), None
     best = _better(found, alone, name)
     keep_if_asked(best, options.out)
     return best
