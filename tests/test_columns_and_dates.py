@@ -362,3 +362,28 @@ def test_a_name_that_can_stand_in_a_formula_is_kept():
     """Only what cannot be used in a formula is renamed."""
     columns = {"t": T, "inf_": np.exp(-T), "_a": T**2, "a__b": T**3}
     assert read_trajectories(columns).trajectories[0].states == ("inf_", "_a", "a__b")
+
+
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "Europe/London", "America/New_York"])
+@pytest.mark.parametrize("step", ["15min", "1h"])
+@pytest.mark.parametrize("first", ["2025-03-07", "2025-03-28", "2025-10-24", "2025-10-31"])
+def test_a_clock_of_summer_time_is_counted_as_it_passed(zone, step, first):
+    """The hour that is left out, or comes twice, is no gap and no second run, and it is said."""
+    passed = pd.date_range(first, periods=400, freq=step, tz="UTC")
+    local = passed.tz_convert(zone).tz_localize(None)
+    x = np.cos(np.arange(400) / 30)
+    table = read_trajectories({"when": local.strftime("%Y-%m-%d %H:%M").to_numpy(object), "x": x})
+    (run,) = table.trajectories
+    hours = (passed - passed[0]).total_seconds() / 3600
+    assert np.allclose(run.t * {"min": 1 / 60, "h": 1.0}[run.time_unit], hours)
+    jumps = len(set(passed.tz_convert(zone).tz_localize(None) - passed.tz_localize(None))) > 1
+    assert any("summer time" in note for note in table.notes) == jumps
+
+
+def test_a_gap_of_an_hour_stays_a_gap():
+    """One on another day, or at another time of the day, is no summer time."""
+    for first in ("2025-03-31 01:00", "2025-03-30 10:00"):
+        clock = pd.date_range(first, periods=60, freq="15min").delete([8, 9, 10, 11])
+        cells = clock.strftime("%Y-%m-%d %H:%M").to_numpy(object)
+        (run,) = read_trajectories({"when": cells, "x": np.arange(56.0) ** 2}).trajectories
+        assert np.ptp(run.t) == 59 * 15

@@ -26,7 +26,7 @@ from dynsr.data.times import (
 from dynsr.data.trajectory import as_floats
 from dynsr.errors import InputError, quoted
 
-_DAY = 86400.0
+_DAY, _HOUR = 86400.0, 3600.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
 _OTHER_TIME = re.compile(r"(t|time)_\w+", re.IGNORECASE)
 
@@ -100,6 +100,36 @@ def _pass_midnight(seconds: np.ndarray) -> np.ndarray:
     return found
 
 
+def _without_summer_time(time: Times) -> Times:
+    """Give dates of a local clock as they passed, where it jumps by an hour in the night to Sunday.
+
+    Only a step that is an hour longer, or shorter, than the usual one is such a jump.
+    """
+    there = np.flatnonzero(np.isfinite(time.values))
+    steps = np.diff(time.values[there])
+    if time.first is None or time.first[0] != "date" or not np.any(steps > 0):
+        return time
+    extra = steps - np.median(steps[steps > 0])
+    hours = np.where(np.abs(np.abs(extra) - _HOUR) < 1, np.sign(extra), 0.0)
+    stamps = time.first[1] + time.values[there[1:]]
+    # The week began with a Thursday in 1970.
+    sunday = (stamps // _DAY + 3) % 7 == 6
+    hours *= sunday & (np.abs(stamps % _DAY - 2 * _HOUR) <= _HOUR)
+    at = np.flatnonzero(hours)
+    # Such nights are half a year apart, and each record passes at most a few of them.
+    if not at.size or np.any(np.diff(time.values[there[at]]) < 100 * _DAY):
+        return time
+    values = time.values.copy()
+    values[there[1:]] -= _HOUR * np.cumsum(hours)
+    nights = stamps[at].astype("datetime64[s]").astype("datetime64[D]").astype(str).tolist()
+    note = (
+        f"the clock of {time.name!r} jumps by an hour on {' and '.join(nights)}, as one of summer "
+        "time does: the hour was taken out; stamps with a zone, such as 01:30+01:00, say it "
+        "themselves"
+    )
+    return replace(time, values=values, notes=(*time.notes, note))
+
+
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
 @np.errstate(over="ignore", invalid="ignore")
 def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
@@ -116,7 +146,7 @@ def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
     the time.
     """
     look = _Look(columns)
-    found = look.named(time) if time else look.guess()
+    found = _without_summer_time(look.named(time) if time else look.guess())
     if columns.time_unit and found.name == columns.names[0]:
         found = replace(found, unit=columns.time_unit)
     stated = columns.units.get(found.name) or bracketed_unit(found.name)
