@@ -387,3 +387,28 @@ def test_a_gap_of_an_hour_stays_a_gap():
         cells = clock.strftime("%Y-%m-%d %H:%M").to_numpy(object)
         (run,) = read_trajectories({"when": cells, "x": np.arange(56.0) ** 2}).trajectories
         assert np.ptp(run.t) == 59 * 15
+
+
+def test_a_row_for_each_year_and_a_column_for_each_month_is_one_series():
+    """Tables of climate have the months of a year in a row, and means behind them."""
+    months = pd.date_range("1990-01-01", periods=240, freq="MS")
+    x = np.cos(np.arange(240) / 9)
+    frame = pd.DataFrame(x.reshape(20, 12), columns=months[:12].strftime("%b"))
+    frame.insert(0, "Year", np.arange(1990, 2010))
+    frame["J-D"] = frame.iloc[:, 1:].mean(axis=1)
+    table = read_trajectories(frame.iloc[::-1])
+    (run,) = table.trajectories
+    assert run.states == ("value",) and np.array_equal(run.x[:, 0], x)
+    assert np.array_equal(run.t, (months - months[0]).days)
+    assert "J-D" in table.left_out and any("column for each month" in n for n in table.notes)
+    apart = read_trajectories(frame, states=["Jan", "Feb"]).trajectories
+    assert apart[0].states == ("Jan", "Feb")
+
+
+@pytest.mark.parametrize("unit", ["M", "Y"])
+def test_months_and_years_of_numpy_are_dates(unit):
+    """They have no fixed length, and are the days that they begin at."""
+    months = np.datetime64("2001", unit) + np.arange(24)
+    (run,) = read_trajectories({"when": months, "x": np.arange(24.0) ** 2}).trajectories
+    days = (months.astype("datetime64[D]") - months[0].astype("datetime64[D]")).astype(float)
+    assert np.allclose(run.t * {"days": 1.0, "years": 365.25}[run.time_unit], days)

@@ -78,6 +78,53 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     return replace(columns, names=tuple(names), values=tuple(values))
 
 
+def unroll_months(columns: Columns) -> tuple[Columns, list[str]]:
+    """Put a table of a row for each year and a column for each month into one row for each month.
+
+    Parameters
+    ----------
+    columns : the columns of the source.
+
+    Gives the columns, and a sentence where the table was such a one. What else is in it, such as
+    means of years, is left out.
+
+    >>> months = ("Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec").split()
+    >>> values = (np.array([2001.0, 2002.0]), *np.arange(24.0).reshape(2, 12).T)
+    >>> found, said = unroll_months(Columns(("Year", *months), values, "data.csv"))
+    >>> found.names, found.values[0][1], found.values[1][:3]
+    (('Year', 'value'), np.datetime64('2001-02'), array([0., 1., 2.]))
+    """
+    months = {n: month_of(bare_name(n)) for n in columns.names if month_of(bare_name(n))}
+    years = [n for n in columns.names if _part(bare_name(n), ()) == "year"]
+    values = [_values(columns, n) for n in (*years, *months)]
+    if len(years) != 1 or sorted(months.values()) != list(range(1, 13)):
+        return columns, []
+    year = values[0]
+    if any(own.dtype.kind != "f" for own in values) or not np.isfinite(year).all():
+        return columns, []
+    if np.any(year % 1 != 0) or len(set(year.tolist())) < len(year):
+        return columns, []
+    order = np.argsort(year)
+    table = np.column_stack([_values(columns, n) for n in sorted(months, key=months.__getitem__)])
+    first = (year[order].astype(int) - 1970).astype("datetime64[Y]").astype("datetime64[M]")
+    stamps = (first[:, None] + np.arange(12)).reshape(-1)
+    others = [n for n in columns.names if n not in (*years, *months)]
+    why = dict.fromkeys(others, "has one cell for each year, next to those of months")
+    said = (
+        f"{columns.label} has a row for each year and a column for each month: the months were put "
+        "one below the other, as 'value'."
+    )
+    found = replace(
+        columns,
+        names=(years[0], "value"),
+        values=(stamps, table[order].reshape(-1)),
+        units={},
+        limits={},
+        left_out={**columns.left_out, **why},
+    )
+    return found, [said]
+
+
 def _values(columns: Columns, name: str) -> np.ndarray:
     return columns.values[columns.names.index(name)]
 

@@ -14,6 +14,8 @@ _ERROR_BEHIND = re.compile(rf"(?P<stem>.+?)[\s_.-]+(?:{_ERROR})", re.IGNORECASE)
 _ERROR_BEFORE = re.compile(
     rf"(?:(?:{_ERROR})[\s_.-]+(?:of[\s_.-]+)?|±\s*|\+/?-\s*)(?P<stem>.+)", re.IGNORECASE
 )
+# As catalogues of stars call the errors of a column, next to it.
+_E = re.compile(r"e_(?P<stem>.+)")
 _ERROR_ALONE = re.compile(rf"(?:{_ERROR}|±|\+/?-)", re.IGNORECASE)
 _MEAN = re.compile(rf"[\s_.-]*(?:{MEAN.pattern})[\s_.-]*", re.IGNORECASE)
 _COUNT = re.compile(r"(?P<stem>.+?)[\s_.-]+n|n[\s_.-]+(?P<other>.+)", re.IGNORECASE)
@@ -29,12 +31,14 @@ def find_measured(name: str, others: Sequence[str]) -> str | None:
 
     >>> find_measured("glc_sd", ["bm_mean", "glc_mean"]), find_measured("err", ["x", "y"])
     ('glc_mean', None)
+    >>> find_measured("e_Vmag", ["Vmag"]), find_measured("e_coli", ["salmonella"])
+    ('Vmag', None)
     """
     own = _own_name(name)
     if _ERROR_ALONE.fullmatch(own):
         alone = [n for n in others if not is_error_name(n)]
         return alone[0] if len(alone) == 1 else None
-    match = _ERROR_BEHIND.fullmatch(own) or _ERROR_BEFORE.fullmatch(own)
+    match = _ERROR_BEHIND.fullmatch(own) or _ERROR_BEFORE.fullmatch(own) or _E.fullmatch(own)
     if match is None:
         return None
     stem = _stem(match["stem"])

@@ -406,6 +406,8 @@ def read_times(cells: np.ndarray, name: str = "") -> Moments | None:
     >>> read_times(np.array(["3/12/24 1:59 PM", "3/13/24 2:00 AM"], dtype=object)).seconds
     array([    0., 43260.])
     """
+    if cells.dtype.kind == "M" and np.datetime_data(cells.dtype)[0] in ("Y", "M"):
+        return Moments(cells.astype("datetime64[s]"))  # months are of no fixed length
     if cells.dtype.kind in "mM":
         return Moments(cells)
     there = [cell for cell in cells if not _is_missing(cell)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dynsr.data.calendars import join_calendar
+from dynsr.data.calendars import join_calendar, unroll_months
 from dynsr.data.columns import Columns
 from dynsr.data.dosing import Dosing, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
@@ -101,6 +101,9 @@ def understand(columns: Columns, time: str | Sequence[str] | None, asked: Asked)
     columns, said = turn_rows(_with_numbers(columns))
     notes += said
     columns = _without_kinds(columns, asked)
+    if asked.states is None and asked.inputs is None:
+        columns, said = unroll_months(columns)
+        notes += said
     if time is None:
         said = [*(asked.states or ()), *(asked.inputs or ()), *(asked.trajectory or ())]
         columns = join_calendar(columns, _named(said, columns))
