@@ -53,6 +53,19 @@ def test_a_population_of_billions_keeps_its_law_and_its_constants():
     assert found.settings["units"] == {"t": 1.0, "x": 1e8}
 
 
+def test_other_formulas_and_words_of_a_verdict_are_in_the_units_of_the_data():
+    """An alternative gives slopes of the size of the data, and the span is in its unit of time."""
+    t = np.linspace(0, 6, 60)
+    x = 1 / (1 + 9 * np.exp(-t)) + 0.02 * np.random.default_rng(0).normal(size=60)
+    found = discover((1e-9 * t, 1e9 * x[:, None]), preset="quick", jobs=1)
+    other = parse(found.verdict.states["x"].alternatives[0].equation)
+    sizes = [abs(float(e.subs("x", 5e8))) for e in (other, found.equations["x"])]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.3)
+    assert found.verdict.span == pytest.approx(6e-9)
+    reason = found.verdict.states["x"].reason
+    assert reason.endswith("(in units for the time of 1e-09, x of 1e+08)")
+
+
 @pytest.mark.slow
 def test_intervals_of_tiny_and_huge_data_hold_the_truth():
     """x' = 2 - 0.5 x/1e-9 with 1 % noise, x of 1e-9: each interval is about its own constant."""

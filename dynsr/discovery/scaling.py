@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +21,9 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
 from dynsr.discovery.stochastic import search_stochastic
 from dynsr.discovery.unmeasured import coupling_of
+from dynsr.discovery.verdict import OtherFormula, Verdict
 from dynsr.errors import InputError
-from dynsr.expression import expand_terms
+from dynsr.expression import expand_terms, parse
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
 
 # Columns and spans of sizes up to this one, and down to one over it, are searched as they are.
@@ -144,6 +146,7 @@ class Units:
             diffusion={
                 s: own.in_units(s, self.columns, self.time) for s, own in found.diffusion.items()
             },
+            verdict=self._restore_verdict(found.verdict),
             trajectories=tuple(runs),
             inputs=dict(inputs),
             settings={
@@ -156,6 +159,26 @@ class Units:
         restored = self.restore_slope(state, expr)
         long = [n for n in restored.atoms(sympy.Rational) if max(abs(n.p), n.q) >= _LONG]
         return tidy(restored.xreplace({n: sympy.Float(n) for n in long}))
+
+    def _restore_verdict(self, verdict: Verdict) -> Verdict:
+        """Give other formulas and the span in the units of the data, and say those of the words."""
+        states = {
+            s: replace(
+                own,
+                reason=self._said(own.reason),
+                alternatives=tuple(
+                    OtherFormula.of(self._restore_equation(s, parse(a.equation)), a.bits)
+                    for a in own.alternatives
+                ),
+            )
+            for s, own in verdict.states.items()
+        }
+        span = verdict.span * float(self.time)
+        return replace(verdict, reason=self._said(verdict.reason), states=states, span=span)
+
+    def _said(self, reason: str) -> str:
+        """Give a reason, with the units of its numbers where it has any."""
+        return f"{reason} ({self.words})" if re.search(r"\d", reason) else reason
 
     def _restore_front(self, state: str, front: ParetoFront) -> ParetoFront:
         factor = float(self.columns[state] / self.time)
