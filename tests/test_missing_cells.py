@@ -441,3 +441,21 @@ def test_quantities_of_a_long_table_may_have_times_of_their_own():
     assert run.states == ("x", "y")
     assert run.measured.sum(axis=0).tolist() == [201, 29]
     assert np.array_equal(run.observed[::7, 1], TRUE[::7, 1])
+
+
+def test_a_source_of_inputs_alone_is_joined_with_its_states():
+    """Commands have a clock of their own, and keep their value until the next one."""
+    t, own = np.linspace(0, 9, 91), np.arange(0.003, 9, 0.5)
+    states = {"t": t, "x": np.cos(t), "y": np.sin(t)}
+    command = {"t": own, "u_z": np.where(own % 4 < 2, 1.5, -0.3)}
+    table = read_trajectories([states, command], inputs=["u_z"])
+    (run,) = table.trajectories
+    assert run.states == ("x", "y") and run.input_names == ("u_z",)
+    assert run.holds["u_z"] == "previous" and table.description.inputs == ("u_z",)
+    late = run.t > own[0]
+    steps = command["u_z"][np.searchsorted(own, run.t[late], side="right") - 1]
+    assert np.array_equal(run.inputs[late, 0], steps)
+    dates = pd.date_range("2024-01-01", periods=91, freq="min")
+    both = {"when": dates, "x": np.cos(t), "u": np.sign(np.sin(t))}
+    (run,) = read_trajectories([both], inputs=["u"]).trajectories
+    assert run.states == ("x",) and run.input_names == ("u",)

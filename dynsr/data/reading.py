@@ -32,6 +32,7 @@ from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles, constants_left_out
 from dynsr.data.steps import between_rows
+from dynsr.data.time_columns import find_time
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, decide_hold
 from dynsr.data.understanding import Asked, Understood, understand
@@ -317,7 +318,7 @@ def _read_list(
     tables, constants = [], []
     for source in sources:
         load = cache(partial(_load_quietly, source, decimal, missing))
-        own, known, errors = _those_of(source, load, states, inputs, noise)
+        own, known, errors = _those_of(source, load, states, inputs, noise, time)
         tables.append(
             read_trajectories(
                 source,
@@ -345,6 +346,9 @@ def _read_list(
         for table, count, end in zip(tables, each, ends, strict=True)
     ]
     runs, joined = join_sources(parts)
+    asked = {clean_name(name) for name in _split_inputs(inputs)[0] or ()}
+    moved = [n for n in runs[0].states if n in asked] if joined else []
+    runs = [_as_inputs(run, moved) for run in runs]
     renamed = {old: new for table in tables for old, new in table.description.renamed.items()}
     runs = say_noise(say_limits(runs, limits, renamed), noise, renamed)
     if hold is None:
@@ -415,6 +419,7 @@ def _those_of(
     states: Sequence[str] | str | None,
     inputs: Sequence[str] | Mapping[str, str] | str | None,
     noise: Mapping[str, Any] | None,
+    time: Any,
 ) -> tuple[
     Sequence[str] | str | None,
     Sequence[str] | Mapping[str, str] | str | None,
@@ -422,7 +427,8 @@ def _those_of(
 ]:
     """Give the states, inputs and columns of errors asked for that one of several sources has.
 
-    What none has is refused where it is read.
+    What none has is refused where it is read. A source of inputs alone has states until it is
+    joined with others.
     """
     wanted, (known, formulas), errors = _listed(states), _split_inputs(inputs), find_columns(noise)
     if not (wanted or known or errors) or isinstance(source, Trajectory):
@@ -434,8 +440,22 @@ def _those_of(
     own = [name for name in wanted or () if name in names] or states
     if known:
         kept = [name for name in known if name in names]
+        kept = kept if _has_states(columns, kept, time) else []
         inputs = [*kept, *(f"{name}={text}" for name, text in formulas.items())]
     return own, inputs, {state: own for state, own in errors.items() if state in names}
+
+
+def _has_states(columns: Columns, inputs: Sequence[str], time: Any) -> bool:
+    """Whether a source has numbers other than times and these inputs."""
+    try:
+        times = find_time(columns, time if isinstance(time, str) else None).columns
+    except InputError:  # said where it is read
+        return True
+    taken = {*inputs, *times}
+    return any(
+        values.dtype.kind == "f" and not {name, clean_name(name)} & taken
+        for name, values in zip(columns.names, columns.values, strict=True)
+    )
 
 
 def _doses_of(load: Callable[[], Columns], doses: Mapping[str, str]) -> dict[str, str] | None:
