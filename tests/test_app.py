@@ -24,7 +24,9 @@ import dynsr
 from dynsr.app.work import FILES, Live, Work, read_options
 from dynsr.data.reading import read_trajectories
 from dynsr.errors import say_install
+from dynsr.expression import parse
 from dynsr.jobs import Step
+from dynsr.jobs.progress import Running
 
 pytest.importorskip("tornado", reason="the extra app is not installed")
 # One worker runs them all, so that one page is served.
@@ -792,6 +794,9 @@ def test_live_reports_name_each_states_best_equation():
     dynsr.discover(run.trajectories, preset="quick", functions=[], jobs=1, progress=live)
     assert said[-1]["best"]["x"]["text"] == "x' = -x"
     assert "<math" in said[-1]["best"]["x"]["mathml"]
+    whole = {"x": parse("y - x"), "y": parse("-2*x")}
+    live(Step("", 1, 4, running=(Running("a", "x' with y", equations=whole),)))
+    assert [own["text"] for own in said[-1]["best"].values()] == ["x' = -x + y", "y' = -2*x"]
     live(Step("", 2, 0))
     assert (said[-1]["share"], said[-1]["left"]) == (
         None,

@@ -2,15 +2,17 @@ import io
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import sympy
 from rich.console import Console
 
+import dynsr
 from dynsr.cli import progress as module
 from dynsr.cli.progress import SearchProgress
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
-from dynsr.jobs.progress import Running, Step, best_equation
+from dynsr.jobs.progress import Running, Step, Turns, best_equation
 
 FRONT = ParetoFront(
     [
@@ -108,3 +110,28 @@ def test_a_terminal_shows_every_running_search(monkeypatch, total):
         progress(step(90, 4, "b"))
         progress._lines.bar.refresh()
     assert "finishing" in screen.getvalue()
+
+
+@pytest.mark.parametrize("asked", [{"hidden": "y"}, {"stochastic": True}])
+def test_whole_systems_are_shown_while_they_are_searched(asked):
+    """What is best so far is in reports of what runs, and in those of what has ended."""
+    t, steps = np.linspace(0, 8, 80), []
+    x = np.exp(-0.1 * t) * np.cos(2 * t) + 0.01 * np.random.default_rng(0).normal(size=80)
+    found = dynsr.discover((t, x[:, None]), jobs=1, progress=steps.append, **asked)
+    running = [one for step in steps for one in step.running if one.equations]
+    assert running and all(one.best.startswith("x' = ") for one in running)
+    assert [step.what for step in steps if step.what and step.found]
+    assert any("y' = " in step.found for step in steps) == bool(found.hidden)
+
+
+def test_turns_say_what_ran_before():
+    """The best so far stays until something better is found, and ends with what ended."""
+    steps: list[Step] = []
+    with Turns(["a", "b"], str, steps.append) as turns:
+        for item in turns:
+            if item == "a":
+                turns.say({"x": parse("2*x")})
+    assert [(step.what, step.found) for step in steps if step.what] == [
+        ("a", "x' = 2*x"),
+        ("b", "x' = 2*x"),
+    ]

@@ -661,6 +661,8 @@ class Live:
             front = self._chosen.get(state, front)
             if len(front):
                 best[state] = self._show(state, front)
+        together = {s: e for one in step.running for s, e in one.equations.items()}
+        best |= {state: self._show_equation(state, expr) for state, expr in together.items()}
         share = sum(_share(one.done, one.total) for one in step.running)
         # Tasks that are not needed any more leave the plan.
         over = step.done >= step.total
@@ -693,6 +695,15 @@ class Live:
             words |= {"error": f"misses the slopes by {knee.loss:.2g}", "stage": stage}
             words |= {"formula": to_text(expr)}
             self._shown[state] = knee.expr, words
+        return self._shown[state][1]
+
+    def _show_equation(self, state: str, expr: sympy.Expr) -> dict[str, str]:
+        """Show an equation of a system that is searched as a whole."""
+        if self._shown.get(state, (None,))[0] != expr:
+            own = tidy(expr)
+            words = {"mathml": to_mathml(own, state), "text": f"{state}' = {shown(own, 4)}"}
+            words |= {"error": "", "stage": "best so far", "formula": to_text(own)}
+            self._shown[state] = expr, words
         return self._shown[state][1]
 
 

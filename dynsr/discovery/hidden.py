@@ -34,7 +34,7 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.jobs import Budget, RunFolder, collect_by, fingerprint, report_each, to_plain
+from dynsr.jobs import Budget, RunFolder, Turns, collect_by, fingerprint, to_plain
 from dynsr.methods import AUTO, Demands, choose_methods, read_demands
 from dynsr.selection import (
     ComparisonSettings,
@@ -126,13 +126,16 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
         how = selection.comparison
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)
-        for state in report_each(["", *states[:-1]], lambda s: _title(name, s), options.report):
-            if state:
-                own = leading[state]
-                every.extend(find_hidden(data, name, state, own, how, details.hidden))
-            else:
-                leading |= best_alone(data, how)
-                alone.append(find_without(data, leading, how))
+        with Turns(["", *states[:-1]], lambda s: _title(name, s), options.report) as turns:
+            for state in turns:
+                if not state:
+                    leading |= best_alone(data, how)
+                    alone.append(find_without(data, leading, how))
+                    turns.say({} if alone[0] is None else alone[0].exprs)
+                    continue
+                for one in find_hidden(data, name, state, leading[state], how, details.hidden):
+                    every.append(one)
+                    turns.say(min(every, key=lambda fit: fit.bits).fit.exprs)
 
     until = Budget(options.time_budget).until(details.shares.choices)
     cut, complete = collect_by(until, look, every)

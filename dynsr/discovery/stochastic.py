@@ -54,7 +54,7 @@ from dynsr.fit import (
     structure_bits,
     tidy,
 )
-from dynsr.jobs import Budget, collect_by, report_each
+from dynsr.jobs import Budget, Turns, collect_by
 from dynsr.methods import AUTO, choose_methods, read_demands
 from dynsr.selection import (
     StochasticFound,
@@ -139,11 +139,14 @@ def search_stochastic(runs: Sequence[Trajectory], options: Options) -> Discovery
 
     def look() -> None:
         stages = ("drift and diffusion", "errors of measurement")
-        for stage in report_each(stages, str, options.report):
-            if stage == stages[0]:
-                rounds.extend(search.run())
-            else:
-                whole.append(search.finish(rounds[-1]))
+        with Turns(stages, str, options.report) as turns:
+            for stage in turns:
+                if stage == stages[0]:
+                    for found in search.run():
+                        rounds.append(found)
+                        turns.say(found.drift)
+                else:
+                    whole.append(search.finish(rounds[-1]))
 
     until = Budget(options.time_budget).until(details.shares.choices)
     cut, complete = collect_by(until, look, rounds)

@@ -4,7 +4,7 @@ from .display import LiveLines, NotebookProgress, TerminalProgress, clock, in_no
 from .garbage import let_garbage_wait
 from .interrupts import heard_again, interrupt_again, is_repeated, signal_again, signal_main
 from .pool import Parts, Task, check_jobs, check_seed, run_tasks, spread
-from .progress import Step, Watch, best_equation, report_each
+from .progress import Step, Turns, Watch, best_equation, report_each
 from .screen import Screen, is_lost, printing, take_lost
 from .store import (
     MANIFEST,
@@ -39,6 +39,7 @@ __all__ = [
     "TerminalProgress",
     "TimeUp",
     "Turn",
+    "Turns",
     "Watch",
     "best_equation",
     "check_jobs",

@@ -23,6 +23,8 @@ from dynsr.jobs.interrupts import heard_again, interrupt_again
 
 # A worker loads this file before it knows its task, which says what else is needed.
 if TYPE_CHECKING:
+    import sympy
+
     from dynsr.fit import ParetoFront
     from dynsr.methods import Progress
 
@@ -35,6 +37,8 @@ _POLL_SECONDS = 0.1
 _BACKLOG = 64
 # So many seconds' worth of belief in the guess; then the tasks that have ended count.
 _BELIEF = 10.0
+# Rough seconds of what is done in turn, of which nothing is known before.
+_USUAL = 10.0
 # A task that ends at once had nothing to search and tells nothing of the others.
 _AT_ONCE = 0.3
 
@@ -51,7 +55,8 @@ class Running:
 
     ``best`` is its best formula so far with its error ("" where it has none yet); ``done`` of
     ``total`` (None while unknown) is how far its ``stage`` is; ``began`` is when it began, in
-    seconds since the epoch.
+    seconds since the epoch. ``equations`` are the best of all states so far, where it finds them
+    together.
     """
 
     task: str
@@ -62,6 +67,7 @@ class Running:
     best: str = ""
     began: float = field(default_factory=time.time)
     front: ParetoFront = field(default_factory=_no_front, repr=False)
+    equations: Mapping[str, sympy.Expr] = field(default_factory=dict, repr=False)
 
     @property
     def seconds(self) -> float:
@@ -70,6 +76,14 @@ class Running:
 
 
 Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """The record of what was done in turn: its seconds, and the best so far in a few words."""
+
+    seconds: float
+    summary: str
 
 
 @dataclass(frozen=True)
@@ -380,6 +394,70 @@ class Watch:
         seconds = time.monotonic() - self.began
         with self._lock:
             self.progress(Step(what, *counts, record, found, running, seconds, left))
+
+
+class Turns:
+    """Items that are done one after the other, reported as each ends and while it runs.
+
+    As a context it reports; going through it gives the items.
+
+    Parameters
+    ----------
+    items : what is done.
+    name : says what an item is called.
+    progress : is called with a :class:`Step`; None for no reports.
+
+    >>> steps = []
+    >>> with Turns([1, 2], str, steps.append) as turns:
+    ...     done = [2 * item for item in turns]
+    >>> done, [(step.what, step.done, step.total) for step in steps if step.what]
+    ([2, 4], [('1', 1, 2), ('2', 2, 2)])
+    """
+
+    def __init__(
+        self,
+        items: Sequence[Any],
+        name: Callable[[Any], str],
+        progress: Callable[[Step], None] | None,
+    ) -> None:
+        """Take what is to come."""
+        self._items = {name(item): item for item in items}
+        self._watch = Watch(progress, dict.fromkeys(self._items, _USUAL), 1)
+        self._said: Running | None = None
+
+    def __enter__(self) -> Self:
+        """Begin to report."""
+        self._watch.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the reports."""
+        self._watch.__exit__(*error)
+
+    def __iter__(self) -> Iterator[Any]:
+        """Give the items, and say when each of them ends."""
+        for title, item in self._items.items():
+            best = {} if self._said is None else self._said.equations
+            self._said = Running(title, title)
+            self.say(best)
+            began = time.monotonic()
+            yield item
+            self._watch(title, title, Ended(time.monotonic() - began, self._said.best))
+
+    def say(self, equations: Mapping[str, sympy.Expr]) -> None:
+        """Say what the best equations of all states are so far.
+
+        Parameters
+        ----------
+        equations : state -> its equation.
+        """
+        from dynsr.expression import shown
+        from dynsr.fit import tidy
+
+        assert self._said is not None
+        lines = [f"{state}' = {shown(tidy(e), _DIGITS)}" for state, e in equations.items()]
+        self._said = replace(self._said, best=", ".join(lines), equations=dict(equations))
+        self._watch.messages.send(self._said)
 
 
 def estimate_left(
