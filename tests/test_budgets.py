@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.discovery import hidden, problem, search, stages, tasks
+from dynsr.discovery import delays, hidden, problem, search, stages, tasks
 from dynsr.jobs import End, TimeUp, finish_by, time_limit
 from dynsr.jobs.budget import uncut
 
@@ -94,6 +94,14 @@ def test_a_hidden_state_that_is_not_found_in_time_leaves_the_equations_without_i
     assert str(found.equations["x"]) == "0.14 - 0.7*x"
     assert "No equations with y were found in this time" in found.explanation["x"]
     assert "hidden" in found.settings["ended_by_budget"]
+
+
+def test_delays_that_were_not_searched_in_time_are_not_taken_for_none(monkeypatch):
+    """Equations without a delay say that nobody looked for one."""
+    monkeypatch.setattr(delays.Delayed, "candidates", endless)
+    found = dynsr.discover(EXACT, delays=True, jobs=1, time_budget=2.0)
+    assert not found.delays
+    assert "The time budget ended the search for delays" in found.explanation["x"]
 
 
 @pytest.mark.slow

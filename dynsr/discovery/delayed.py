@@ -145,10 +145,16 @@ def search_delayed(
     if not answers or not (needs_none or answers[-1].delays or budget.is_over):
         answers.append(search(runs, replace(options, time_budget=budget.rest())))
     best = min(answers, key=_rank)
-    if late:
-        ended = [*best.settings.get("ended_by_budget", ()), "delays"]
-        best = replace(best, settings={**best.settings, "ended_by_budget": ended})
+    best = _ended_early(best) if late else best
     return replace(best, seconds=monotonic() - began)
+
+
+def _ended_early(found: Discovery) -> Discovery:
+    """Say that the search for delays was ended, which found none or one."""
+    ended = [*found.settings.get("ended_by_budget", ()), "delays"]
+    said = "" if found.delays else " The time budget ended the search for delays; give more."
+    words = {state: why + said for state, why in found.explanation.items()}
+    return replace(found, explanation=words, settings={**found.settings, "ended_by_budget": ended})
 
 
 def _rank(found: Discovery) -> int:
