@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynsr.data.assembling import Columns
+from dynsr.data.name_parts import is_label_name
 from dynsr.data.oddities import OddSettings
 from dynsr.errors import InputError, quoted
 
@@ -68,9 +69,6 @@ def without_codes(columns: Columns, missing: Missing | None, guess: bool = True)
     >>> found.values[0], found.notes
     (array([0.2, nan, 0.4, 0.6]), ('x is -999 in 1 of 4 rows and else 0.2 to 0.6: ...',))
     """
-    # The names of labels are known where columns are grouped, which are read before.
-    from dynsr.data.grouping import is_label_name
-
     codes = read_missing(missing)
     if codes == () or (codes is None and not guess):
         return columns

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,23 +10,9 @@ import numpy as np
 
 from dynsr.data.columns import Columns
 from dynsr.data.lines import ROUNDED
-from dynsr.data.name_parts import bare_name
+from dynsr.data.name_parts import is_label_name, is_run_name
 from dynsr.data.time_columns import Times
 
-_RUN = (
-    r"traj(ectory)?|run|trial|episode|exp(eriment)?|series|rep(lica(te)?|eat|l)?|sample|group|"
-    r"lauf|versuch|wiederholung|essai|r[ée]p[ée]tition|r[ée]plicat|ensayo|r[ée]plica"
-)
-_ENDING = r"([ _.-]?(id|n[ro]\.?|num(ber)?|name|code|#))?"
-_NAMED = re.compile(rf"({_RUN}){_ENDING}|id", re.IGNORECASE)
-# Names of what is watched, which as numbers may count it too.
-_SUBJECT = re.compile(
-    r"(id[ _.-])?(wells?|subjects?|mouse|mice|rat|animals?|patients?|plants?|specimen|individuals?|"
-    r"participants?|person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird|flask|tube|vial|"
-    r"dish|plate|bottle|pot|pond|chamber|block|site|donor|clone|line|strain|probe|kolben|platte|"
-    rf"tier|maus|proband(en)?|patienten|pflanze|souris|sujet){_ENDING}|\w+[ _]id",
-    re.IGNORECASE,
-)
 _ROWS_EACH = 5
 _MOST_TOGETHER = 3
 # Rows that were put in order by time and change by more than this share of what independent ones
@@ -62,16 +47,6 @@ class Grouping:
         """Give the name and the rows of each trajectory."""
         for code, name in enumerate(self.names):
             yield name, np.flatnonzero(self.codes == code)
-
-
-def is_run_name(name: str) -> bool:
-    """Whether a column of that name is one that distinguishes trajectories."""
-    return _NAMED.fullmatch(bare_name(name)) is not None
-
-
-def is_label_name(name: str) -> bool:
-    """Whether a column of that name is one of trajectories, or of what is watched in each."""
-    return is_run_name(name) or _SUBJECT.fullmatch(bare_name(name)) is not None
 
 
 def differ_as_parameter(name: str, values: Sequence[float]) -> bool:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynsr.data.columns import Columns
-from dynsr.data.grouping import find_restarts, is_label_name, is_text, label_of
+from dynsr.data.grouping import find_restarts, is_text, label_of
 from dynsr.data.measurement_errors import is_error_name
-from dynsr.data.name_parts import bare_name
+from dynsr.data.name_parts import bare_name, is_label_name
 from dynsr.data.time_columns import Times
 from dynsr.errors import InputError
 

@@ -40,6 +40,22 @@ FEWEST_WELLS = 6
 SAYING = (BEHIND, BEFORE, GIVEN)
 
 
+_RUN = (
+    r"traj(ectory)?|run|trial|episode|exp(eriment)?|series|rep(lica(te)?|eat|l)?|sample|group|"
+    r"lauf|versuch|wiederholung|essai|r[ée]p[ée]tition|r[ée]plicat|ensayo|r[ée]plica"
+)
+_ENDING = r"([ _.-]?(id|n[ro]\.?|num(ber)?|name|code|#))?"
+_NAMED = re.compile(rf"({_RUN}){_ENDING}|id", re.IGNORECASE)
+# Names of what is watched, which as numbers may count it too.
+_SUBJECT = re.compile(
+    r"(id[ _.-])?(wells?|subjects?|mouse|mice|rat|animals?|patients?|plants?|specimen|individuals?|"
+    r"participants?|person|cage|batch|colony|culture|device|tank|plot|station|unit|cell|fish|bird|flask|tube|vial|"
+    r"dish|plate|bottle|pot|pond|chamber|block|site|donor|clone|line|strain|probe|kolben|platte|"
+    rf"tier|maus|proband(en)?|patienten|pflanze|souris|sujet){_ENDING}|\w+[ _]id",
+    re.IGNORECASE,
+)
+
+
 def _take_unit(name: str) -> tuple[str, str] | None:
     """Take a name and a unit that is known behind a slash apart."""
     found = _DIVIDED.fullmatch(name.strip())
@@ -69,3 +85,13 @@ def bracketed_unit(name: str) -> str:
     found = _UNIT.search(name)
     unit = "" if found is None else found[0].strip().strip("[]()").strip()
     return "" if MEAN.fullmatch(unit) else unit
+
+
+def is_run_name(name: str) -> bool:
+    """Whether a column of that name is one that distinguishes trajectories."""
+    return _NAMED.fullmatch(bare_name(name)) is not None
+
+
+def is_label_name(name: str) -> bool:
+    """Whether a column of that name is one of trajectories, or of what is watched in each."""
+    return is_run_name(name) or _SUBJECT.fullmatch(bare_name(name)) is not None

@@ -10,8 +10,9 @@ import numpy as np
 
 from dynsr.data.amounts import is_missing
 from dynsr.data.columns import Columns
-from dynsr.data.grouping import is_label_name, is_text, label_of
+from dynsr.data.grouping import is_text, label_of
 from dynsr.data.limits import Limits
+from dynsr.data.name_parts import is_label_name
 from dynsr.data.times import read_counted, read_times
 from dynsr.data.trajectory import FEWEST_ROWS
 from dynsr.errors import quoted
