@@ -412,3 +412,43 @@ def test_months_and_years_of_numpy_are_dates(unit):
     (run,) = read_trajectories({"when": months, "x": np.arange(24.0) ** 2}).trajectories
     days = (months.astype("datetime64[D]") - months[0].astype("datetime64[D]")).astype(float)
     assert np.allclose(run.t * {"days": 1.0, "years": 365.25}[run.time_unit], days)
+
+
+@pytest.mark.parametrize("name", ["week", "ISO week", "epi_week", "KW"])
+def test_a_year_and_a_week_are_one_time(name):
+    """Weeks go on in the next year, whatever else rises in the table."""
+    weeks = pd.date_range("2020-10-05", periods=60, freq="7D")
+    iso = weeks.isocalendar()
+    x = 1000 / (1 + 50 * np.exp(-0.15 * np.arange(60)))
+    table = {"year": iso.year.to_numpy(float), name: iso.week.to_numpy(float), "cases": x}
+    (run,) = read_trajectories(table).trajectories
+    assert run.states == ("cases",) and np.array_equal(run.t, 7.0 * np.arange(60))
+    both = 100 * table["year"] + table[name]
+    (run,) = read_trajectories({f"{name} week": both, "cases": x}).trajectories
+    assert run.states == ("cases",) and np.array_equal(run.t, 7.0 * np.arange(60))
+
+
+@pytest.mark.parametrize("name", ["month", "yyyymm", "period", "date"])
+def test_six_digits_are_a_year_and_a_month(name):
+    """202012 is followed by 202101."""
+    months = pd.date_range("2020-07-01", periods=30, freq="MS")
+    cells = (100 * months.year + months.month).to_numpy(float)
+    (run,) = read_trajectories({name: cells, "x": np.arange(30.0) ** 2}).trajectories
+    assert np.array_equal(run.t, (months - months[0]).days)
+
+
+def test_dates_that_are_written_in_two_ways_are_refused_as_such():
+    """No other column that rises takes their place without a word."""
+    days = pd.date_range("2020-01-14", periods=30, freq="30D")
+    cells = [f"{d:%d/%m/%Y}" if k < 5 else f"{d:%Y-%m-%d}" for k, d in enumerate(days)]
+    with pytest.raises(InputError, match="'date' of the mapping is written in two ways"):
+        read_trajectories({"date": np.array(cells, dtype=object), "N": np.arange(30.0) ** 2})
+
+
+def test_a_column_of_one_number_in_few_rows_says_how_few():
+    """What is given four times is no constant, and how it can be used is said."""
+    t = np.arange(60.0)
+    given = np.where(t % 15 == 4, 5.0, np.nan)
+    table = read_trajectories({"t": t, "glucose": np.cos(t / 9), "insulin": given})
+    assert "is 5 in 4 of 60 rows, empty in all others" in table.left_out["insulin"]
+    assert "--dose" in table.left_out["insulin"]

@@ -11,13 +11,15 @@ import numpy as np
 
 from dynsr.data.columns import Columns
 from dynsr.data.name_parts import bare_name
-from dynsr.data.times import month_of
+from dynsr.data.times import first_of_weeks, month_of
 
 # Part of a date -> names of columns that hold it.
 _PARTS = {
     "year": r"years?|yyyy|yr|jahr|ann[ée]e|a[ñn]o",
     "quarter": r"quarters?|qtr|q|quartal|trimestre",
     "month": r"months?|mon|monat|mois|mes",
+    "week": r"(?:iso|epi|mmwr|calendar)?[ _.-]?weeks?(?:[ _.-]?(?:no|nr|number))?|wk|kw|woche|"
+    r"kalenderwoche|semaine|semana",
     "day": r"days?|dd|dom|tag|jour|d[ií]a",
     "of_year": r"doy|day.?of.?year|julian.?day|jday|yday|tag.?im.?jahr",
     "hour": r"hours?|hh|hr|h|stunde|heure|hora",
@@ -28,13 +30,14 @@ _RANGES = {
     "year": (1700, 2300),
     "quarter": (1, 4),
     "month": (1, 12),
+    "week": (1, 53),
     "day": (1, 31),
     "of_year": (0, 367),
     "hour": (0, 24),
     "minute": (0, 60),
     "second": (0, 61),
 }
-_WHOLE = ("year", "quarter", "month", "day")
+_WHOLE = ("year", "quarter", "month", "week", "day")
 _DATE = ("year", "month", "day")
 _SCALES = {"day": 86400, "hour": 3600, "minute": 60, "second": 1}
 _ENDS = {"hour": 24, "minute": 60, "second": 60}
@@ -49,10 +52,10 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     columns : the columns of the source.
     said : names that the caller gave a role; such a part is left as it is.
 
-    There must be a year, and a quarter, a month or the day of the year; days, hours, minutes and
-    seconds are added where they are there. Days and hours without a year are counted from day 0.
-    Hours and minutes, or minutes and seconds, without a day are a clock or a duration. Gives the
-    columns as they are where no times come of it.
+    There must be a year, and a quarter, a month, a week or the day of the year; days, hours,
+    minutes and seconds are added where they are there. Days and hours without a year are counted
+    from day 0. Hours and minutes, or minutes and seconds, without a day are a clock or a duration.
+    Gives the columns as they are where no times come of it.
 
     >>> parts = {"Year": [2023.0] * 2, "Month": [1.0, 1.0], "Day": [30.0, 31.0], "x": [1.0, 2.0]}
     >>> columns = Columns(tuple(parts), tuple(map(np.array, parts.values())), "the mapping")
@@ -61,9 +64,9 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     """
     parts = _find_parts(columns, said)
     found = {part: _numbers(columns, name, part) for part, name in parts.items()}
-    if "year" in parts and {"quarter", "month", "of_year"} & set(parts):
+    if "year" in parts and {"quarter", "month", "week", "of_year"} & set(parts):
         stamps = _put_together(found)
-    elif not {"year", "month", "quarter", "of_year"} & set(parts) and len(parts) > 1:
+    elif not {"year", "month", "quarter", "week", "of_year"} & set(parts) and len(parts) > 1:
         stamps = _count(found)
     else:
         return columns
@@ -156,13 +159,15 @@ def _find_parts(columns: Columns, said: Collection[str]) -> dict[str, str]:
         whole = part not in _WHOLE or bool(np.all(values % 1 == 0))
         if part and part not in found and whole and low <= values.min() <= values.max() <= high:
             found[part] = name
-    if {"month", "of_year"} & set(found):
+    if {"month", "week", "of_year"} & set(found):
         found.pop("quarter", None)
-    if not {"year", "month", "quarter", "of_year"} & set(found):
+    if not {"year", "month", "quarter", "week", "of_year"} & set(found):
         for part in ("day", "hour"):  # all of it on one day, or within one hour
             longest = next((p for p in _PARTS if p in found), "")
             if part == longest and _is_still(columns, found[part]):
                 del found[part]
+    if "week" in found:  # it says the day itself, and a month next to it no more
+        found = {p: own for p, own in found.items() if p in ("year", "week")}
     parts = [p for p in _PARTS if p in found and not (p in ("month", "day") and "of_year" in found)]
     return {part: found[part] for part in _without_breaks(parts, found)}
 
@@ -171,7 +176,7 @@ def _longest(names: Sequence[str]) -> str:
     """Give the part that counts on from the start of an experiment; "" where there are dates."""
     called = {_part(name, ()) for name in names}
     called = {_part(name, called) for name in names}
-    if {"year", "quarter", "month", "of_year"} & called:
+    if {"year", "quarter", "month", "week", "of_year"} & called:
         return ""
     return next((part for part in ("day", "hour", "minute") if part in called), "")
 
@@ -214,6 +219,8 @@ def _put_together(parts: Mapping[str, np.ndarray]) -> np.ndarray | None:
     if "quarter" in parts:
         parts = {**parts, "month": 3 * parts["quarter"] - 2}
     date = {part: parts.get(part, ones) for part in _DATE}
+    if "week" in parts:
+        return first_of_weeks(parts["year"], parts["week"])
     try:
         stamps = pandas.to_datetime(date).to_numpy().astype("datetime64[ms]")
     except ValueError:  # such as the 31st of April

@@ -24,6 +24,8 @@ from dynsr.errors import InputError
 # Words of a switch that is on, and of the same one off; a column holds those of one pair.
 _PAIRS = (
     ("on", "off"),
+    ("heat heating", "off idle"),
+    ("cool cooling", "off idle"),
     ("yes", "no"),
     ("true", "false"),
     ("open opened", "closed close shut"),

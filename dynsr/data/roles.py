@@ -32,6 +32,7 @@ _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", 
 _MANY = 30
 
 _IN_EVERY_ROW = "in every row"
+_GIVEN = ", empty in all others; if it is given there, say to which state (--dose)"
 
 
 @dataclass(frozen=True)
@@ -363,7 +364,10 @@ class _Look:
             if values.dtype.kind == "f":
                 there = values[np.isfinite(values)]
                 if len(there) and is_still(there, ROUNDED):
-                    found[name] = f"is {there[0]:g} {_IN_EVERY_ROW}"
+                    few = len(there) < len(values) / 2
+                    where = f"in {len(there)} of {len(values)} rows" if few else _IN_EVERY_ROW
+                    found[name] = f"is {there[0]:g} {where}"
+                    found[name] += _GIVEN if few else ""
         return found
 
 

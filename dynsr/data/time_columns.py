@@ -362,6 +362,12 @@ class _Look:
         if self._time(name) is not None:
             return False
         values = self._values(name)
+        # Dates that are written in several ways.
+        forms = _first_of_each_form(values) if values.dtype.kind == "O" else []
+        if 1 < len(forms) < len(values) / 2 and all(
+            read_times(values[[row]], name) is not None for row in forms
+        ):
+            return True
         read = sum(_as_numbers(values[i : i + 1]) is not None for i in range(len(values)))
         return 2 * read > len(values)
 
@@ -391,7 +397,7 @@ class _Look:
         rising = [n for n in named if _rises(self._values(n))]
         one = np.zeros(len(self._columns.values[0]), dtype=int)
         rising.sort(key=lambda n: numbers_rows(n, self._values(n), one))
-        return [Times(n, self._values(n), unit_in_name(n)) for n in rising[:1]]
+        return [found for n in rising[:1] if (found := self._time(n)) is not None]
 
     def _finest(self, times: list[Times]) -> Times:
         """Give the first of them, or one that says the same in finer steps, or with a unit."""

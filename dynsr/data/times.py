@@ -47,6 +47,9 @@ _NAME = re.compile(rf"(?:{_NAMES})(?:[\W_]+(?:{_NAMES}))*", re.IGNORECASE)
 _DATES = re.compile(
     r"(.*(date|datum|fecha|timestamp).*|day|tag|yyyymmdd\w*|(date.?)?time)", re.IGNORECASE
 )
+# Years that a number such as 202407 may begin with, and names of such columns.
+_YEARS = (1700, 2300)
+_OF_YEARS = re.compile(r".*week.*|.*month.*|yyyymm|y+_?m+|period|date")
 _SERIALS = re.compile(r".*(date|datum|fecha).*", re.IGNORECASE)
 _SPELT = {"s": "seconds", "ms": "milliseconds", "µs": "microseconds", "ns": "nanoseconds"}
 _EPOCHS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
@@ -244,6 +247,11 @@ def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
     if not len(there) or there.min() < 1e4:
         return None
     whole = bool(np.all(there % 1 == 0))
+    years = there // 100
+    if whole and np.all((years >= _YEARS[0]) & (years <= _YEARS[1])):
+        parts = _read_year_and_part(numbers, name)
+        if parts is not None:
+            return Moments(parts)
     if whole and _DATES.fullmatch(name.strip()):
         for form, digits in (("%Y%m%d", 8), ("%Y%m%d%H%M", 12), ("%Y%m%d%H%M%S", 14)):
             century = there // 10.0 ** (digits - 2)
@@ -332,6 +340,37 @@ def _from_seconds(seconds: np.ndarray) -> np.ndarray:
     found = np.round(np.where(there, seconds, 0.0) * 1e3).astype("int64").astype("datetime64[ms]")
     found[~there] = np.datetime64("NaT")
     return found
+
+
+def _read_year_and_part(numbers: np.ndarray, name: str) -> np.ndarray | None:
+    """Read 202407 as a month, or as a week where the name says so, as the day it begins."""
+    called = name.strip().lower()
+    part = numbers[np.isfinite(numbers)] % 100
+    longest = 53 if "week" in called else 12
+    if not _OF_YEARS.fullmatch(called) or np.any((part < 1) | (part > longest)):
+        return None
+    found = np.full(len(numbers), np.datetime64("NaT"), dtype="datetime64[ms]")
+    there = np.isfinite(numbers)
+    years = numbers[there] // 100
+    found[there] = first_of_weeks(years, part) if longest > 12 else _first_of_months(years, part)
+    return found
+
+
+def _first_of_months(years: np.ndarray, months: np.ndarray) -> np.ndarray:
+    return (12 * (years - 1970) + months - 1).astype("datetime64[M]").astype("datetime64[ms]")
+
+
+def first_of_weeks(years: np.ndarray, weeks: np.ndarray) -> np.ndarray:
+    """Give the Monday of each week (n,) of years (n,), as ISO 8601 counts them.
+
+    >>> first_of_weeks(np.array([2020.0, 2021.0]), np.array([53.0, 1.0])).astype("datetime64[D]")
+    array(['2020-12-28', '2021-01-04'], dtype='datetime64[D]')
+    """
+    fourth = (years - 1970).astype("datetime64[Y]").astype("datetime64[D]") + 3
+    # The fourth of January is in the first week; the first of 1970 was a Thursday.
+    weekday = (fourth.astype(int) + 3) % 7
+    days = (7 * (weeks - 1) - weekday).astype("timedelta64[D]")
+    return np.asarray((fourth + days).astype("datetime64[ms]"))
 
 
 def _read_compact(numbers: np.ndarray, form: str) -> np.ndarray | None:
