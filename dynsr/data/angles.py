@@ -17,6 +17,8 @@ _SHORT = 0.5
 _ALIKE = 3.0
 
 
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
 def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[str]]:
     """Give trajectories whose angles do not jump by a full turn, and a sentence for each of these.
 

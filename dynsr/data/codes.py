@@ -53,6 +53,8 @@ def read_missing(missing: Missing | None) -> tuple[float, ...] | None:
     return numbers
 
 
+# Numbers of cells may be of any size; what overflows is no evidence of anything.
+@np.errstate(over="ignore", invalid="ignore")
 def without_codes(columns: Columns, missing: Missing | None, guess: bool = True) -> Columns:
     """Give columns in which numbers that stand for no value are empty cells.
 
@@ -75,7 +77,7 @@ def without_codes(columns: Columns, missing: Missing | None, guess: bool = True)
     values, seen = [], []
     for name, own in zip(columns.names, columns.values, strict=True):
         there = np.zeros(len(own), dtype=bool)
-        if own.dtype.kind == "f" and not is_label_name(name) and not np.all(np.diff(own) > 0):
+        if own.dtype.kind == "f" and not is_label_name(name) and not np.all(own[1:] > own[:-1]):
             there = _usual(own) if codes is None else np.isin(own, codes)
         if there.any():
             seen.append(_say(name, own, there))
