@@ -832,6 +832,10 @@ def test_what_jumps_and_is_no_angle_stays():
     switch, saw = 360.0 * (t % 4 > 2), np.abs(360 - (72 * t) % 720) * 0.999
     for x in (switch + 0.001 * t, saw, 50 * t % 300):
         assert np.array_equal(one({"t": t, "x": x, "y": t**2}, states=["x", "y"]).x[:, 0], x)
+    rng = np.random.default_rng(0)
+    noise = {f"x{k}": rng.normal(size=12) for k in range(500)}
+    run = one({"t": t[:12], **noise}, states=list(noise))
+    assert np.array_equal(run.x, np.column_stack(list(noise.values())))
     own = dynsr.Trajectory(t, (90 * t % 360)[:, None], ("x",))
     (run,), _ = dynsr.data.take_trajectories(own)
     assert np.array_equal(run.x, own.x)

@@ -13,8 +13,9 @@ from dynsr.data.trajectory import Trajectory
 _TURNS = (360.0, 2 * np.pi)
 # A turn seen in a column may be short of a full one by this share: by the rows next to it.
 _SHORT = 0.5
-# The step over the turn is like those next to it: at most this many times as large.
-_ALIKE = 3.0
+# The step over the turn is like those next to it: at most this many times as large. No step is
+# more than this share of a turn, so that it is clear which way each goes.
+_ALIKE, _STEP = 3.0, 0.25
 
 
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
@@ -71,7 +72,7 @@ def _lie_within(pieces: Sequence[np.ndarray], turn: float) -> bool:
 def _go_on(values: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
     """Give values that go on over the turns, and how many of these there are; -1 for other jumps.
 
-    A jump is a turn where the step without it is like those before and behind it.
+    A jump is a turn where the step without it is like the one before it, or behind it, and small.
     """
     there = np.flatnonzero(np.isfinite(values))
     if len(there) < 3:
@@ -79,6 +80,8 @@ def _go_on(values: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
     plain = np.diff(values[there])
     steps = np.diff(np.unwrap(values[there], period=turn))
     jumps = np.flatnonzero(np.abs(plain) > turn / 2)
+    if jumps.size and np.abs(steps).max() > _STEP * turn:
+        return values, -1
     for at in jumps:
         near = steps[[k for k in (at - 1, at + 1) if 0 <= k < len(steps)]]
         same = np.any((near * steps[at] > 0) & (np.abs(steps[at]) <= _ALIKE * np.abs(near)))

@@ -18,8 +18,9 @@ Missing = Sequence[float] | float | str
 # Numbers of nines, and of integers at the end of their range, that programs write for no value.
 _NINES = re.compile(r"-99(9*|\.9+|9+\.9+)|999+(\.9+)?")
 _ENDS = (-(2.0**15), -(2.0**31), 2.0**31 - 1)
-# Powers of ten this large or larger, and the largest numbers of float32 and float64, are codes too.
-_LARGE = 1e20
+# So are large powers of ten, the largest numbers of float32 and float64, and that of NetCDF.
+_POWERS = frozenset(float(f"1e{power}") for power in range(20, 39))
+_LARGEST = (float(np.finfo(np.float32).max), float(np.finfo(np.float64).max), 9.96921e36)
 # Fewer other numbers in a column do not show where its values are.
 _FEWEST = 3
 NONE = "none"
@@ -117,10 +118,5 @@ def is_code(number: float) -> bool:
     [True, True, True, True, True, False, False, False]
     """
     size = abs(number)
-    if size >= _LARGE:
-        power = math.log10(size)
-        largest = [float(np.finfo(kind).max) for kind in (np.float32, np.float64)]
-        return abs(power - round(power)) < 1e-9 or any(
-            math.isclose(size, end, rel_tol=1e-6) for end in (*largest, 9.96921e36)
-        )
-    return number in _ENDS or _NINES.fullmatch(f"{number:g}") is not None
+    large = size in _POWERS or any(math.isclose(size, end, rel_tol=1e-6) for end in _LARGEST)
+    return large or number in _ENDS or _NINES.fullmatch(f"{number:g}") is not None
