@@ -839,3 +839,13 @@ def test_what_jumps_and_is_no_angle_stays():
     own = dynsr.Trajectory(t, (90 * t % 360)[:, None], ("x",))
     (run,), _ = dynsr.data.take_trajectories(own)
     assert np.array_equal(run.x, own.x)
+
+
+def test_columns_called_by_concentrations_are_runs():
+    """The concentration is a parameter of each run; columns called by depths are states of one."""
+    start = {"0.1 mM": 0.1, "0,5 mM": 0.5, "2mM": 2.0}
+    runs = read_trajectories({"t (s)": T, **{n: c * DECAY for n, c in start.items()}}).trajectories
+    assert [run.states for run in runs] == [("x",)] * 3
+    assert [float(run.by_name["mM"][0]) for run in runs] == [0.1, 0.5, 2.0]
+    depths = read_trajectories({"t": T, "5 cm": DECAY, "10 cm": RISE}).trajectories
+    assert len(depths) == 1 and len(depths[0].states) == 2

@@ -30,6 +30,10 @@ GIVEN = re.compile(
 )
 # What says that values are means, which is no unit.
 MEAN = re.compile(r"mean|avg|average|median|value|mittel\w*|mw", re.IGNORECASE)
+# A concentration alone, such as "0.5 mM"; a length would be the depth of one of several states.
+CONCENTRATION = re.compile(
+    r"(?P<stem>)(?P<which>\d+(?:[.,]\d+)?)\s*(?P<word>[fpnuµμm]?M|(?:[nuµμm]|k)?g/[uµμm]?[lL])"
+)
 # A number or a letter alone, which may be anything else too.
 NUMBERED = re.compile(r"(?P<stem>.*[^\W\d_])[\s_.-]*(?P<which>\d+)")
 LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.IGNORECASE)
@@ -37,7 +41,8 @@ LETTERED = re.compile(r"(?P<stem>.+?)[\s_.-]+[\[(]?(?P<which>[a-l])[\])]?", re.I
 WELL = re.compile(r"(?P<stem>)(?P<which>[A-P](?:0?[1-9]|1\d|2[0-4]))")
 FEWEST_WELLS = 6
 # Those that say by themselves that a column is one of a run.
-SAYING = (BEHIND, BEFORE, GIVEN)
+SAYING = (BEHIND, BEFORE, GIVEN, CONCENTRATION)
+CONDITIONS = (GIVEN, CONCENTRATION)
 
 
 _RUN = (

@@ -13,8 +13,8 @@ from dynsr.data.columns import Columns
 from dynsr.data.limits import Limits
 from dynsr.data.lines import last_digit
 from dynsr.data.name_parts import (
+    CONDITIONS,
     FEWEST_WELLS,
-    GIVEN,
     LETTERED,
     NUMBERED,
     SAYING,
@@ -109,9 +109,9 @@ def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | Non
         return None
     first = list(next(iter(members.values())))
     return SideBySide(
-        words[0] if pattern is GIVEN else words[0].lower(),
+        words[0] if pattern in CONDITIONS else words[0].lower(),
         {run: {s: own[s] for s in first} for run, own in members.items()},
-        pattern is GIVEN,
+        pattern in CONDITIONS,
     )
 
 
