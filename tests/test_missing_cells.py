@@ -26,7 +26,8 @@ from dynsr.data import (
 from dynsr.discovery.maps import pair_rows
 from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
-from dynsr.fit import Measurements, fit_along, match_trajectories
+from dynsr.expression import parse
+from dynsr.fit import Measurements, fit_along, match_trajectories, skeleton
 from dynsr.report.plots import draw_phase_portrait, draw_states
 
 X, Y = sympy.symbols("x y")
@@ -459,3 +460,26 @@ def test_a_source_of_inputs_alone_is_joined_with_its_states():
     both = {"when": dates, "x": np.cos(t), "u": np.sign(np.sin(t))}
     (run,) = read_trajectories([both], inputs=["u"]).trajectories
     assert run.states == ("x",) and run.input_names == ("u",)
+
+
+@pytest.mark.slow
+def test_few_assays_that_come_to_0_have_the_terms_of_the_many_rows():
+    """A fermenter: biomass each 0.1 h, and the sugar, which is used up, once an hour.
+
+    Eleven rows do not show whether noise grows with the sugar. If it did, almost none would be
+    allowed where the sugar is gone.
+    """
+
+    def grow(_, z):
+        eaten = z[0] * z[1] / (1.2 + z[1])
+        return 0.5 * eaten, -1.1 * eaten
+
+    t = np.linspace(0, 10, 101)
+    x = solve_ivp(grow, (0, 10), [0.1, 6.0], t_eval=t, rtol=1e-10, atol=1e-12).y.T
+    x += 0.01 * x.std(axis=0) * np.random.default_rng(11).normal(size=x.shape)
+    x[np.arange(101) % 10 != 0, 1] = np.nan
+    found = discover(Trajectory(t, x, ("X", "S")), jobs=1, preset="quick")
+    for state, size in (("X", 0.5), ("S", -1.1)):
+        expr = found.equations[state]
+        assert skeleton(expr) == skeleton(parse("0.5*X*S/(1.2 + S)"))
+        assert float(expr.subs({"X": 1, "S": 1e9})) == pytest.approx(size, rel=0.05)

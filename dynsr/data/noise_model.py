@@ -306,7 +306,7 @@ def fit_law(
     """Fit squares ~ a^2 + m^2 level: additive, multiplicative or both, by their probabilities.
 
     These are those of the BIC. The squares a^2 and m^2 are averaged over the laws that are not
-    far less probable than the best (Madigan and Raftery 1994): few rows do not tell which it is,
+    far less probable than the best (Madigan and Raftery 1994): few rows do not show which it is,
     and where a state comes to 0 a law without an additive part would allow no error at all.
 
     Parameters
