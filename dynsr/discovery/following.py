@@ -320,14 +320,14 @@ def follow(
 
 
 def _choose_pace(shooting: Shooting, constants: np.ndarray) -> Pace:
-    """Take finer steps until that moves no state by more than a thousandth of its noise."""
+    """Take finer steps until the last ones move no state by more than what is nothing to fit."""
     starts = shooting.starts
     pace, coarse = shooting.pace, shooting.misses(constants, starts)
-    for finer in finer_paces(1, 16):
-        fine = replace(shooting, pace=finer).misses(constants, starts)
-        if np.max(np.abs(fine - coarse)) < 1e-3:
-            return pace
-        pace, coarse = finer, fine
+    for pace in finer_paces(1, 16):
+        fine = replace(shooting, pace=pace).misses(constants, starts)
+        if np.max(np.abs(fine - coarse)) < _NOTHING:
+            break
+        coarse = fine
     return pace
 
 
