@@ -52,6 +52,22 @@ def test_the_true_equations_are_a_law(noise):
             assert 0.6 < own.chi_square < 1.6
 
 
+def test_simple_numbers_say_nothing_of_terms_without_them():
+    """A saturation is replaced by another that follows it to 1e-9, with odd constants.
+
+    That 0.6 and 1 of another term are no chance makes the law of the replaced one no more sure.
+    """
+    rest = "0.4 - 0.6*d^3/(d^3 + 1)"
+    truth = {"a": parse(f"{rest} + 0.63/(a + 0.76)"), "d": parse("1.9 - 0.9*d")}
+    data = [predict(truth, [1.0, 0.2], np.linspace(0, 6, 300))]
+    assert give_verdict(truth, data).level == "law"
+    odd = "0.004428338894 - 2.956122142e-5*a + 0.623306672/(0.007*a^2 + a + 0.755965649)"
+    found = give_verdict(truth | {"a": parse(f"{rest} + {odd}")}, data)
+    a = np.linspace(1.0, 2.08, 50)
+    assert np.max(np.abs(evaluate(parse(odd), {"a": a}) - 0.63 / (a + 0.76))) < 1e-8
+    assert found.states["a"].level == "approximation"
+
+
 def test_steps_of_the_integration_hide_no_simple_numbers():
     """Irregular rows of a reaction with a weak saturation: its constants are exact to many digits.
 

@@ -604,31 +604,38 @@ class _Bench:
         ratios = self._ratios(slopes / np.sqrt(level)[owners][:, None])
         if self.clean.any():
             each = sharp * rows / np.maximum(followed.independent, 1.0)
-            simple = self._simplicity(z, slopes, each[owners]) >= self.settings.alternative_bits
+            bits = self._simplicity(z, slopes, each[owners])
+            of_each = {s: bits[of_state[i]] for i, s in enumerate(self.equations)}
+            simple = [float(b.sum()) >= self.settings.alternative_bits for b in of_each.values()]
             level = np.where(simple, sharp, level)
             surer = self._ratios(slopes / np.sqrt(level)[owners][:, None])
-            ratios |= {s: surer[s] for s, own in zip(self.equations, simple, strict=True) if own}
+            # A number that is no simple one shows nothing but what the residuals do.
+            ratios |= {
+                s: [
+                    sure if own > 0 else rough
+                    for rough, sure, own in zip(ratios[s], surer[s], of_each[s], strict=True)
+                ]
+                for s, all_told in zip(self.equations, simple, strict=True)
+                if all_told
+            }
         forecast, surprise, allowed = self._forecast(followed)
         return _Evidence(
             chi, np.array(correlation), np.array(systematic), ratios, forecast, surprise, allowed
         )
 
     def _simplicity(self, z: np.ndarray, slopes: np.ndarray, squares: np.ndarray) -> np.ndarray:
-        """(k,) bits by which the constants of each equation are simple numbers and none by chance.
+        """(P,) bits by which each constant is a simple number and none by chance.
 
         The constants are those of a linear fit to the residuals (N,), which have these mean squares
         for each independent row.
         """
-        count, states = len(self.places), list(self.equations)
+        count = len(self.places)
         weight = 1 / np.sqrt(squares)
         weighed = slopes * weight[:, None]
         covariance = _covariance(weighed)
         shift = -(covariance @ (weighed.T @ (weight * z)))[:count]
         fitted, covariance = self.values + shift, covariance[:count, :count]
-        found = np.zeros(len(states))
-        own = [states.index(place.state) for place in self.places.values()]
-        np.add.at(found, own, use_bits_together(fitted, covariance, self.values))
-        return found
+        return use_bits_together(fitted, covariance, self.values)
 
     def _ratios(self, slopes: np.ndarray) -> dict[str, list[tuple[sympy.Expr | None, float]]]:
         """State -> (term, size of its coefficient over the standard error), inner numbers too."""
