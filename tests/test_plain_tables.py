@@ -48,6 +48,17 @@ def test_numpy_reads_what_pandas_reads(tmp_path_factory, data) -> None:
     np.testing.assert_equal(read(path), expected)
 
 
+def test_a_whole_number_has_no_sign_where_it_is_0(tmp_path) -> None:
+    """-0 is 0, as pandas reads it, and -0.0 keeps its sign."""
+    path = tmp_path / "x.csv"
+    path.write_text("t,x,y\n0,-0,-0.0\n")
+    assert np.signbit([own[0] for own in load_columns(path).values]).tolist() == [
+        False,
+        False,
+        True,
+    ]
+
+
 @pytest.mark.slow
 def test_a_plain_table_needs_no_pandas(tmp_path) -> None:
     """Half a second of every start goes to importing it, which a plain table is spared; one with

@@ -109,7 +109,8 @@ def _load_plain(path: Path) -> Columns | None:
         return None
     if table.shape[1] != len(names) or len(set(names)) < len(names):
         return None
-    if np.any(np.abs(table) > 2**53):  # whole numbers might be rounded
+    # Whole numbers might be rounded, and have no -0.
+    if np.any(np.abs(table) > 2**53) or np.any((table == 0) & np.signbit(table)):
         return None
     columns = tuple(table.T.copy())
     return None if find_blocks(names, columns) else Columns(tuple(names), columns, path.name)
