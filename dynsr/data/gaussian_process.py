@@ -10,6 +10,7 @@ a factor on the noise that was estimated before, are those of greatest marginal 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,8 @@ class Process:
     factor : by how much the noise was found to be larger than was said.
     kernel : the hyperparameters found: log variance, log length scale, log power, log of the
         squared factor on the noise.
+    at : gives (4, m) value, slope and the standard deviations of both at m warped times, where no
+        row needs to be, from ds/dt there.
     """
 
     value: np.ndarray
@@ -73,6 +76,7 @@ class Process:
     left_out: np.ndarray
     factor: float
     kernel: np.ndarray
+    at: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class _Problem:
@@ -107,11 +111,13 @@ class _Problem:
         self.gram = np.asfortranarray(self.basis.T @ weighted)
         self.moments = weighted.T @ self.y
 
-    def slopes(self, count: int) -> np.ndarray:
-        """Slopes (n, count) of offset, trend and cosines per unit of s."""
+    def terms(self, s: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """(m, count) offset, trend and cosines at warped times, and their slopes per unit of s."""
         omega = self.omega[: count - 2]
-        trend = np.broadcast_to([0.0, 1.0], (len(self.y), 2))
-        return np.hstack([trend, -omega * np.sin(np.outer(self.s + _REACH, omega))])
+        angles = np.outer(s + _REACH, omega)
+        trend = np.broadcast_to([0.0, 1.0], (len(s), 2))
+        values = np.hstack([np.ones((len(s), 1)), s[:, None], np.cos(angles)])
+        return values, np.hstack([trend, -omega * np.sin(angles)])
 
     def variances(self, kernel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Prior variances of the coefficients that matter, and gradients of their logarithms."""
@@ -198,26 +204,34 @@ class _Problem:
     def process(self, kernel: np.ndarray, rate: np.ndarray) -> Process:
         """Give the posterior of values and slopes at the rows; ``rate`` is ds/dt there."""
         root, factor, white, _ = self.solve(kernel)
-        m, noise = len(root), self.variance * np.exp(kernel[3])
-        basis, slopes = self.basis[:, :m] * root, self.slopes(m) * root * rate[:, None]
-        value, slope = basis @ white, slopes @ white
-        spread = [
-            np.sqrt(np.sum(solve_triangular(factor, b.T, lower=True, check_finite=False) ** 2, 0))
-            for b in (basis, slopes)
-        ]
-        leverage = np.minimum(spread[0] ** 2 / noise, 1 - 1e-9)
-        misses = (self.y - value) / np.sqrt(noise * (1 - leverage))
+        noise = self.variance * np.exp(kernel[3])
+
+        def posterior(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
+            # Beyond their ends the cosines come back.
+            values, slopes = self.terms(np.clip(s, -_REACH, _REACH), len(root))
+            both = values * root, slopes * root * rate[:, None]
+            spread = [
+                np.sqrt(
+                    np.sum(solve_triangular(factor, b.T, lower=True, check_finite=False) ** 2, 0)
+                )
+                for b in both
+            ]
+            return np.array([*(b @ white for b in both), *spread])
+
+        def in_units(found: np.ndarray) -> np.ndarray:
+            return np.array([found[0] * self.spread + self.middle, *(found[1:] * self.spread)])
+
+        rows = posterior(self.s, rate)
+        leverage = np.minimum(rows[2] ** 2 / noise, 1 - 1e-9)
+        misses = (self.y - rows[0]) / np.sqrt(noise * (1 - leverage))
         evidence = -self.loss(kernel)[0] - len(self.y) * np.log(self.spread * np.sqrt(2 * np.pi))
-        return Process(
-            value * self.spread + self.middle,
-            slope * self.spread,
-            spread[0] * self.spread,
-            spread[1] * self.spread,
-            evidence,
-            misses,
-            float(np.exp(kernel[3] / 2)),
-            kernel,
-        )
+
+        def at(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
+            return in_units(posterior(s, rate))
+
+        value, slope, value_sd, slope_sd = in_units(rows)
+        factor_found = float(np.exp(kernel[3] / 2))
+        return Process(value, slope, value_sd, slope_sd, evidence, misses, factor_found, kernel, at)
 
 
 def fit_process(

@@ -36,6 +36,7 @@ from dynsr.errors import InputError
 LONGEST_KEPT = 20_000
 # Usual distances of its rows over which a curve comes to rest beyond the last of them.
 _COASTS = 5.0
+_NOWHERE = np.empty((4, 0))
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,7 @@ class SmoothColumn:
     """One column made smooth; fields as in SmoothedTrajectory, (n,) each.
 
     ``leverage`` is the share that each row has in its own fit, ``outlier`` flags outliers.
+    ``between`` (4, m) has values, slopes and the standard deviations of both at other times.
     """
 
     x: np.ndarray
@@ -142,6 +144,7 @@ class SmoothColumn:
     method: str
     leverage: np.ndarray
     outlier: np.ndarray
+    between: np.ndarray
 
 
 def smooth(
@@ -218,14 +221,16 @@ def _smooth_own(
     if len(rows) < settings.fewest:
         # Too few to bend a curve through: what stands between them is a line.
         wide = np.full(len(t), float(np.std(x)))
-        return SmoothColumn(x, np.gradient(x, t), wide, wide, sd, "line", rest, none)
+        return SmoothColumn(x, np.gradient(x, t), wide, wide, sd, "line", rest, none, _NOWHERE)
     told = None if known is None else known.select(rows)
-    found = _smooth_known(t[rows], x[rows], noise, settings, taken[rows], told)
+    found = _smooth_known(t[rows], x[rows], noise, settings, taken[rows], told, t[~own])
     value, slope = read_curve(t[rows], found.x, _sure_slopes(t[rows], found), t)
     value[rows], slope[rows] = found.x, found.slope
     sd[rows], rest[rows], none[rows] = found.noise, found.leverage, found.outlier
-    spread = [np.interp(t, t[rows], own_sd) for own_sd in (found.x_sd, found.slope_sd)]
-    return SmoothColumn(value, slope, spread[0], spread[1], sd, found.method, rest, none)
+    x_sd, slope_sd = np.empty(len(t)), np.empty(len(t))
+    x_sd[rows], slope_sd[rows] = found.x_sd, found.slope_sd
+    x_sd[~own], slope_sd[~own] = found.between[2:]
+    return SmoothColumn(value, slope, x_sd, slope_sd, sd, found.method, rest, none, found.between)
 
 
 def _smooth_known(
@@ -235,18 +240,19 @@ def _smooth_known(
     settings: SmoothSettings,
     taken: np.ndarray,
     known: KnownNoise | None,
+    others: np.ndarray = _NOWHERE[0],
 ) -> SmoothColumn:
     """Smooth one column; where its errors are known they are used, or their size alone is found."""
     if known is None:
-        return smooth_values(t, x, noise, settings, taken)
+        return smooth_values(t, x, noise, settings, taken, None, others)
     certain = settings.certain if known.sure else settings.unknown
     settings = replace(settings, process=replace(settings.process, known=certain))
     if not known.sure:
-        return smooth_values(t, x, noise, settings, taken, known.sd)
+        return smooth_values(t, x, noise, settings, taken, known.sd, others)
     sd = known.sd
     if known.share:
         sd = known.at(smooth_values(t, x, noise, settings, taken).x + taken)
-    found = smooth_values(t, x, noise, settings, taken, sd)
+    found = smooth_values(t, x, noise, settings, taken, sd, others)
     # A row that misses by more is no outlier: its error is known.
     return replace(found, noise=known.at(found.x + taken))
 
@@ -294,17 +300,20 @@ def smooth_values(
     settings: SmoothSettings = _SETTINGS,
     taken: np.ndarray | None = None,
     known: np.ndarray | None = None,
+    others: np.ndarray = _NOWHERE[0],
 ) -> SmoothColumn:
     """Smooth one column; the parameters are those of :func:`smooth`, for (n,) times and values.
 
     ``taken`` (n,) is what was taken from the values, whose noise is that of the sum; ``known`` (n,)
-    are their errors, where these are said.
+    are their errors, where these are said; ``others`` (m,) are times where no value is, and at
+    which the curve is asked for too.
     """
     taken = np.zeros(len(t)) if taken is None else taken
     if len(t) > LONGEST_KEPT:
-        return _smooth_again(t, x, noise, settings, taken, known)
+        return _smooth_again(t, x, noise, settings, taken, known, others)
     said = b"" if known is None else as_bytes(known)
-    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken), said)
+    where = as_bytes(others)
+    return _smooth_once(as_bytes(t), as_bytes(x), noise, settings, as_bytes(taken), said, where)
 
 
 def as_bytes(values: np.ndarray) -> bytes:
@@ -321,9 +330,11 @@ def _smooth_once(
     settings: SmoothSettings,
     taken: bytes,
     known: bytes,
+    others: bytes,
 ) -> SmoothColumn:
-    t, x, part = (np.frombuffer(own) for own in (times, values, taken))
-    return _smooth_again(t, x, noise, settings, part, np.frombuffer(known) if known else None)
+    t, x, part, where = (np.frombuffer(own) for own in (times, values, taken, others))
+    said = np.frombuffer(known) if known else None
+    return _smooth_again(t, x, noise, settings, part, said, where)
 
 
 def _smooth_again(
@@ -333,23 +344,27 @@ def _smooth_again(
     settings: SmoothSettings,
     taken: np.ndarray,
     known: np.ndarray | None = None,
+    others: np.ndarray = _NOWHERE[0],
 ) -> SmoothColumn:
     """Smooth one column, in pieces where it is long; ``known`` (n,) are its errors."""
     if len(t) <= settings.chunk:
-        return _smooth_piece(t, x, noise, settings, taken, known)
+        return _smooth_piece(t, x, noise, settings, taken, known, others)
     count = int(np.ceil((len(t) - settings.overlap) / (settings.chunk - settings.overlap)))
     edges = np.linspace(0, len(t), count + 1).astype(int)
-    pieces = []
-    for start, stop in pairwise(edges):
+    homes = np.searchsorted(t[edges[1:-1]], others, side="right")
+    between, pieces = np.empty((4, len(others))), []
+    for home, (start, stop) in enumerate(pairwise(edges)):
         low = max(start - settings.overlap // 2, 0)
         rows = slice(low, min(stop + settings.overlap // 2, len(t)))
         own = None if known is None else known[rows]
-        piece = _smooth_piece(t[rows], x[rows], noise, settings, taken[rows], own)
+        mine = homes == home
+        piece = _smooth_piece(t[rows], x[rows], noise, settings, taken[rows], own, others[mine])
+        between[:, mine] = piece.between
         pieces.append((piece, slice(start - low, stop - low)))
     names = ("x", "slope", "x_sd", "slope_sd", "noise", "leverage", "outlier")
     joined = {n: np.concatenate([getattr(p, n)[rows] for p, rows in pieces]) for n in names}
     methods = dict.fromkeys(p.method for p, _ in pieces)
-    return SmoothColumn(method=", ".join(methods), **joined)
+    return SmoothColumn(method=", ".join(methods), between=between, **joined)
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,6 +374,12 @@ class _Warp:
     name: str
     s: np.ndarray
     rate: np.ndarray
+
+    def between(self, t: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give s (m,) and ds/dt at other times than the rows at (n,) t; beyond these it is even."""
+        inside = np.clip(others, t[0], t[-1])
+        rate = np.interp(inside, t, self.rate)
+        return PchipInterpolator(t, self.s)(inside) + rate * (others - inside), rate
 
 
 def _warp(name: str, s: np.ndarray, rate: np.ndarray) -> _Warp:
@@ -400,14 +421,16 @@ def _smooth_piece(
     settings: SmoothSettings,
     taken: np.ndarray,
     known: np.ndarray | None = None,
+    others: np.ndarray = _NOWHERE[0],
 ) -> SmoothColumn:
     """Smooth one column of few enough rows: as it is, or its logarithm."""
     spread = float(np.std(x))
     if spread == 0:
         zero = np.zeros(len(t))
         sd = noise.sd(x + taken) if known is None else known
-        return SmoothColumn(x, zero, sd, zero, sd, "constant", zero, zero > 0)
-    found, evidence = _smooth_plain(t, x, noise, settings, taken, known)
+        rest = np.outer([x[0], 0.0, float(np.max(sd)), 0.0], np.ones(len(others)))
+        return SmoothColumn(x, zero, sd, zero, sd, "constant", zero, zero > 0, rest)
+    found, evidence = _smooth_plain(t, x, noise, settings, taken, known, others)
     if np.any(taken):
         # The logarithm of what is left says nothing of that of the sum.
         return found
@@ -418,20 +441,29 @@ def _smooth_piece(
     if not np.max(relative) < 0.5:
         return found
     logs = np.log(np.abs(x)) + relative**2 / 2
-    other, other_evidence = _smooth_plain(t, logs, noise, settings, taken, relative)
+    other, other_evidence = _smooth_plain(t, logs, noise, settings, taken, relative, others)
     if other_evidence - float(np.sum(np.log(np.abs(x)))) <= evidence:
         return found
-    value = np.exp(other.x) * np.sign(x[0])
-    slope = value * other.slope
+    logs = np.array([other.x, other.slope, other.x_sd, other.slope_sd])
+    value, slope, x_sd, slope_sd = _of_logs(logs, np.sign(x[0]))
     return replace(
         other,
         x=value,
         slope=slope,
-        x_sd=np.abs(value) * other.x_sd,
-        slope_sd=np.hypot(value * other.slope_sd, slope * other.x_sd),
+        x_sd=x_sd,
+        slope_sd=slope_sd,
         noise=np.abs(value) * other.noise,
         method=f"{other.method} of log",
+        between=_of_logs(other.between, np.sign(x[0])),
     )
+
+
+def _of_logs(found: np.ndarray, sign: float) -> np.ndarray:
+    """(4, m) values, slopes and their deviations of what has these logarithms."""
+    log, slope, sd, slope_sd = found
+    value = np.exp(log) * sign
+    slopes = value * slope
+    return np.array([value, slopes, np.abs(value) * sd, np.hypot(value * slope_sd, slopes * sd)])
 
 
 def _smooth_plain(
@@ -441,6 +473,7 @@ def _smooth_plain(
     settings: SmoothSettings,
     taken: np.ndarray,
     known: np.ndarray | None = None,
+    others: np.ndarray = _NOWHERE[0],
 ) -> tuple[SmoothColumn, float]:
     """Smooth in the warp of greatest evidence; gives that too.
 
@@ -484,6 +517,7 @@ def _smooth_plain(
         warp.name,
         leverage,
         outliers,
+        best.at(*warp.between(t, others)),
     )
     return column, float(evidence)
 

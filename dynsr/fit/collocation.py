@@ -1010,6 +1010,23 @@ class Measurements:
         own = [math.sqrt(np.mean(column[np.isfinite(column)] ** 2)) for column in noise.T[measured]]
         return float(np.median(own / self._spread[measured])) if own else 0.0
 
+    @cached_property
+    def unsure_share(self) -> float:
+        """Greatest over the states of the error of the curve where the state was not measured.
+
+        Root mean square as a share of spread; 0 where all states were measured at every row.
+        """
+        found = [0.0]
+        for place, spread in enumerate(self._spread):
+            own = [
+                smoothed.x_sd[~run.measured[:, place], place]
+                for run, smoothed in zip(self.runs, self.smoothed, strict=True)
+            ]
+            squares = np.concatenate(own) ** 2
+            if len(squares) and spread > 0:
+                found.append(math.sqrt(np.mean(squares)) / spread)
+        return float(max(found))
+
     @property
     def may_be_exact(self) -> bool:
         """Whether noise is so little that it may be none, and all of rows far apart."""

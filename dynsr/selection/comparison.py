@@ -127,11 +127,14 @@ class ComparisonSettings:
     def ask(self, data: Measurements) -> bool:
         """Whether states are asked, and not their slopes alone.
 
+        Slopes are also unsure where the curve of a state is, between the rows that have it.
+
         Parameters
         ----------
         data : the states.
         """
-        return data.noise_share >= (self.coarse if data.period < self.dense else self.noisy)
+        unsure = max(data.noise_share, data.unsure_share)
+        return unsure >= (self.coarse if data.period < self.dense else self.noisy)
 
 
 COMPARISON: ComparisonSettings = ComparisonSettings()
