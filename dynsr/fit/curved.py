@@ -4,7 +4,7 @@ The constants and the values of each curve at its knots are fitted together with
 pays for its integrated squared second derivative. What that costs is chosen by the marginal
 likelihood, in which the curve has the Gaussian prior of that penalty (REML; Wood 2011). The errors
 are those of the posterior: their bands contain the truth about as often as they say, averaged over
-the curve (Nychka 1988).
+the curve (Nychka 1988). They count that the cost is an estimate (Kass and Steffey 1989).
 """
 
 from __future__ import annotations
@@ -363,6 +363,7 @@ class CurvedFit(ScaledFit):
     """A system with curves that was fitted."""
 
     problem: _Curved
+    settings: CurvedSettings = CURVED
 
     @cached_property
     def constants(self) -> np.ndarray:
@@ -410,8 +411,15 @@ class CurvedFit(ScaledFit):
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(N, N) of the numbers; inf where the data do not determine it."""
-        own = covariance_of(self.whole) * self.scale
+        """(N, N) of the numbers; inf where the data do not determine it.
+
+        The cost of bending of each curve is one of many, by their likelihood. Other costs give
+        other curves.
+        """
+        own = covariance_of(self.whole)
+        if np.all(np.isfinite(own)):
+            own = own + sum((self._by_cost(place, own) for place in range(len(self.curves))), 0.0)
+        own = own * self.scale
         if np.all(np.isfinite(own)):
             found: np.ndarray = self.ways @ own @ self.ways.T
             return found
@@ -419,6 +427,23 @@ class CurvedFit(ScaledFit):
         own = self.ways @ np.where(np.isfinite(own), own, 0.0) @ self.ways.T
         own[unknown] = own[:, unknown] = np.inf
         return own
+
+    def _by_cost(self, place: int, own: np.ndarray) -> np.ndarray:
+        """(Q, Q) what the covariance gains where the cost of one curve is not known."""
+        likelihood = _Likelihood.of(self)
+        reach, step = self.settings.widest, self.settings.close
+        moves = np.zeros((round(2 * reach / step) + 1, len(self.curves)))
+        moves[:, place] = np.linspace(-reach, reach, len(moves))
+        tried = [likelihood(move) for move in moves]
+        values = np.array([value for value, _, _ in tried])
+        weights = np.exp((np.min(values) - values) / 2)
+        found: np.ndarray = np.zeros_like(own)
+        for weight, (_, moved, whole) in zip(weights / weights.sum(), tried, strict=True):
+            # What weighs nothing may have no inverse.
+            if weight > np.finfo(float).eps:
+                other = np.linalg.pinv(whole, hermitian=True)
+                found += weight * (other - own + np.outer(moved, moved) / self.scale)
+        return found
 
     @cached_property
     def blocks(self) -> list[slice]:
@@ -603,7 +628,7 @@ def _solve(
         found = problem.fit_along(np.ascontiguousarray(states.T), ways, fit is not None)
         if found is None or not np.all(np.isfinite(found.misses)):
             return fit
-        fit, states = CurvedFit(problem, ways, found, least), found.states
+        fit, states = CurvedFit(problem, ways, found, least, settings), found.states
         if not problem.costs:
             break
         costs = _choose_costs(fit, settings)
@@ -762,52 +787,91 @@ def _alike(problem: _Curved) -> list[float]:
     return costs
 
 
-def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
-    """(parts,) the costs of bending with the largest marginal likelihood, near a fit.
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """The marginal likelihood of other costs of bending, near a fit.
 
     The sum of squares is taken for the parabola that it is near the fit.
+
+    Parameters
+    ----------
+    told : (Q, Q) what the data say of the numbers.
+    now : (parts,) the costs of the fit.
+    forms, ahead, levels : of the bending of each curve, as a parabola in what the numbers move by.
+    squares : the sum of squares of the fit.
+    ranks : of the forms.
+    rows : the degrees of freedom; 0 where noise is known.
     """
-    problem, ways = fit.problem, fit.ways
-    told = fit.information
-    # The numbers move from where they are; what the mean of a curve is fixed at stays.
-    shapes, pulls, levels = [], [], []
-    first, numbers = len(problem.numbers), fit.numbers
-    for curve in fit.curves:
-        shape = np.zeros((len(numbers),) * 2)
-        block = slice(first, first + len(curve.knots))
-        first, shape[block, block] = block.stop, curve.roughness
-        shapes.append(ways.T @ shape @ ways)
-        pulls.append(ways.T @ shape @ numbers)
-        levels.append(float(numbers @ shape @ numbers))
-    now, forms, ahead, paid_level = map(np.array, (problem.costs, shapes, pulls, levels))
-    # At the fit the slope of the data's part is minus that of the bending.
-    slope = -np.einsum("j,jq->q", now, ahead)
-    squares = fit.found.squares
-    ranks = [np.linalg.matrix_rank(shape, hermitian=True) for shape in shapes]
-    rows = fit.problem.mesh.freedom(0) - (ways.shape[1] - sum(ranks))
-    centre = np.log(now)
-    known = not math.isfinite(fit.freedom)
 
-    def criterion(moves: np.ndarray) -> float:
-        costs = np.exp(centre + moves)
-        bent = np.einsum("j,jpq->pq", costs, forms)
-        pull = slope + np.einsum("j,jq->q", costs, ahead)
-        whole = told + bent
-        step = -np.linalg.pinv(whole, hermitian=True) @ pull
-        paid = squares + float(costs @ paid_level) + float(pull @ step)
-        logs = np.linalg.slogdet(whole)[1] - sum(
-            r * m for r, m in zip(ranks, centre + moves, strict=True)
+    told: np.ndarray
+    now: np.ndarray
+    forms: np.ndarray
+    ahead: np.ndarray
+    levels: np.ndarray
+    squares: float
+    ranks: tuple[int, ...]
+    rows: int
+
+    @classmethod
+    def of(cls, fit: CurvedFit) -> _Likelihood:
+        """Give that of a fit."""
+        problem, ways = fit.problem, fit.ways
+        # The numbers move from where they are; what the mean of a curve is fixed at stays.
+        shapes, pulls, levels = [], [], []
+        numbers = fit.numbers
+        for block, curve in zip(fit.blocks, fit.curves, strict=True):
+            shape = np.zeros((len(numbers),) * 2)
+            shape[block, block] = curve.roughness
+            shapes.append(ways.T @ shape @ ways)
+            pulls.append(ways.T @ shape @ numbers)
+            levels.append(float(numbers @ shape @ numbers))
+        ranks = tuple(int(np.linalg.matrix_rank(shape, hermitian=True)) for shape in shapes)
+        rows = problem.mesh.freedom(0) - (ways.shape[1] - sum(ranks))
+        return cls(
+            fit.information,
+            np.array(problem.costs),
+            np.array(shapes),
+            np.array(pulls),
+            np.array(levels),
+            fit.found.squares,
+            ranks,
+            max(rows, 1) if math.isfinite(fit.freedom) else 0,
         )
-        found = paid if known else max(rows, 1) * math.log(max(paid, 1e-300))
-        # Where the data say nothing of some direction, no cost is better than another.
-        return found + float(logs) if np.isfinite(found + logs) else 1e300
 
+    def __call__(self, moves: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Give minus twice the logarithm for costs, what the numbers move by, and what they know.
+
+        Parameters
+        ----------
+        moves : (parts,) of the logarithms of the costs.
+        """
+        costs = self.now * np.exp(moves)
+        # At the fit the slope of the data's part is minus that of the bending.
+        pull = np.einsum("j,jq->q", costs - self.now, self.ahead)
+        whole = self.told + np.einsum("j,jpq->pq", costs, self.forms)
+        step = -np.linalg.pinv(whole, hermitian=True) @ pull
+        paid = self.squares + float(costs @ self.levels) + float(pull @ step)
+        logs = np.linalg.slogdet(whole)[1] - float(np.dot(self.ranks, np.log(costs)))
+        found = self.rows * math.log(max(paid, 1e-300)) if self.rows else paid
+        # Where the data say nothing of some direction, no cost is better than another.
+        return found + float(logs) if np.isfinite(found + logs) else 1e300, step, whole
+
+
+def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
+    """(parts,) the costs of bending with the largest marginal likelihood, near a fit."""
+    likelihood = _Likelihood.of(fit)
+    centre = np.log(likelihood.now)
     reach = settings.widest
-    around = np.log(_alike(problem)) - centre
+    around = np.log(_alike(fit.problem)) - centre
     bounds = [(low - reach, low + reach) for low in around]
-    starts = [np.zeros(len(now)), around, around - reach / 2, around + reach / 2]
+    starts = [np.zeros(len(centre)), around, around - reach / 2, around + reach / 2]
     tries = [
-        minimize(criterion, np.clip(s, *np.array(bounds).T), bounds=bounds, method="Nelder-Mead")
+        minimize(
+            lambda moves: likelihood(moves)[0],
+            np.clip(s, *np.array(bounds).T),
+            bounds=bounds,
+            method="Nelder-Mead",
+        )
         for s in starts
     ]
     best = min(tries, key=lambda one: float(one.fun))
