@@ -46,7 +46,7 @@ class CurvedSettings:
     knots : numbers of knots of each curve, of which the first ones are tried until more take no
         fewer bits. They are halfway between where the data are and evenly spaced.
     rounds : times that the cost of bending is chosen at most, each time with another fit.
-    close : change of its logarithm with which that ends.
+    close : change of its logarithm with which that ends, and between costs that errors average.
     widest : how far its logarithm may be from where bending weighs as the data do.
     starts : values of all constants from which a first fit begins; then one after the other is
         multiplied by the sizes of the columns.
