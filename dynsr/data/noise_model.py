@@ -23,8 +23,6 @@ _MAD = 1.4826
 _FEWEST = 5
 # Rows that are worked on at a time.
 _AT_ONCE = 20_000
-# Laws of noise that are so many times less probable than the best are left out (Occam's window).
-_OCCAM = 20.0
 # Steps in a row without a change that show that values were rounded.
 _SAME = 2
 
@@ -303,11 +301,7 @@ def fit_law(
     settings: NoiseSettings,
     least: float = 0.0,
 ) -> StateNoise:
-    """Fit squares ~ a^2 + m^2 level: additive, multiplicative or both, by their probabilities.
-
-    These are those of the BIC. The squares a^2 and m^2 are averaged over the laws that are not
-    far less probable than the best (Madigan and Raftery 1994): few rows do not show which it is,
-    and where a state comes to 0 a law without an additive part would allow no error at all.
+    """Fit squares ~ a^2 + m^2 level; additive, multiplicative or both by the BIC.
 
     Parameters
     ----------
@@ -327,10 +321,7 @@ def fit_law(
             law = 0.5 * (tried[0][1] + tried[1][1])
         law, loss = _ascend(squares, columns, weights, law, settings, least)
         tried.append((loss + 0.5 * np.sum(law > 0) * np.log(rows), law))
-    losses = np.array([loss for loss, _ in tried])
-    probable = np.exp(losses.min() - losses)
-    probable[probable < 1 / _OCCAM] = 0.0
-    additive, multiplicative = np.sqrt(np.average([law for _, law in tried], 0, probable))
+    additive, multiplicative = np.sqrt(min(tried, key=lambda pair: pair[0])[1])
     return StateNoise(float(np.hypot(additive, least)), float(multiplicative))
 
 
