@@ -18,7 +18,6 @@ from itertools import chain, combinations
 import numpy as np
 import sympy
 
-from dynsr.data import SmoothedTrajectory, Trajectory
 from dynsr.expression import differentiate, evaluate, expand_terms
 from dynsr.fit import CollocationSettings, Measurements, skeleton
 from dynsr.library import Written
@@ -31,7 +30,6 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
 )
-from dynsr.selection.rates import SIGMA
 from dynsr.selection.renewal import renew
 from dynsr.selection.shapes import bare_terms, rounded
 from dynsr.selection.terms import products
@@ -335,15 +333,13 @@ def _bodies(
     data: Measurements, state: str, comparison: ComparisonSettings, settings: HiddenSettings
 ) -> list[sympy.Expr]:
     """Give what the hidden state may be multiplied with: products that keep one sign."""
-    names = data.runs[0].names
-    signs = np.concatenate([_signs(*pair) for pair in zip(data.runs, data.smoothed, strict=True)])
-    # Between rows of different signs a column is 0, and nothing is seen of what it multiplies.
-    driven = set(data.runs[0].input_names)
-    one_signed = {
-        name
-        for name, own in zip(names, signs.T, strict=True)
-        if len({*own} - {0.0}) == 1 and not (name in driven and 0.0 in own)
+    names, pairs = data.runs[0].names, list(zip(data.runs, data.smoothed, strict=True))
+    columns = {
+        n: np.concatenate([np.column_stack([s.x, r.inputs])[:, i] for r, s in pairs])
+        for i, n in enumerate(names)
     }
+    # Between rows of different signs a column is 0, and nothing is seen of what it multiplies.
+    one_signed = {n for n, own in columns.items() if np.all(own > 0) or np.all(own < 0)}
     allow = comparison.demands.limits(state).allow
     found = [
         body
@@ -375,19 +371,8 @@ def first_curve(
         columns = dict(zip(run.names, np.column_stack([own.x, run.inputs]).T, strict=True))
         columns["t"] = run.t
         slope = own.slope[:, run.index(coupling.state)] - evaluate(rest, columns)
-        used = [name in coupling.body.free_symbols for name in map(sympy.Symbol, run.names)]
-        sure = np.all(_signs(run, own)[:, used] != 0, axis=1)
-        factor = float(coupling.sign) * evaluate(coupling.body, columns)
-        # Where a factor may be 0 nothing is seen of what it multiplies.
-        curves.append(np.interp(run.t, run.t[sure], (slope / factor)[sure]))
+        curves.append(slope / (float(coupling.sign) * evaluate(coupling.body, columns)))
     return data.with_hidden(coupling.name, curves)
-
-
-def _signs(run: Trajectory, smoothed: SmoothedTrajectory) -> np.ndarray:
-    """Give the signs (n, columns) of states and inputs; 0 where noise leaves a sign open."""
-    values = np.column_stack([smoothed.x, run.inputs])
-    errors = np.column_stack([smoothed.x_sd, np.zeros_like(run.inputs)])
-    return np.where(np.abs(values) > SIGMA * errors, np.sign(values), 0.0)
 
 
 def _by_inputs(data: Measurements, state: str) -> sympy.Expr:
