@@ -688,21 +688,17 @@ class Live:
 
     def _show(self, state: str, front: ParetoFront) -> dict[str, str]:
         knee = front.knee
-        if self._shown.get(state, (None,))[0] != knee.expr:
-            expr = tidy(knee.expr)
-            words = {"mathml": to_mathml(expr, state), "text": f"{state}' = {shown(expr, 4)}"}
-            stage = "chosen, no verdict yet" if state in self._chosen else "best so far"
-            words |= {"error": f"misses the slopes by {knee.loss:.2g}", "stage": stage}
-            words |= {"formula": to_text(expr)}
-            self._shown[state] = knee.expr, words
-        return self._shown[state][1]
+        stage = "chosen, no verdict yet" if state in self._chosen else "best so far"
+        return self._show_equation(state, knee.expr, f"misses the slopes by {knee.loss:.2g}", stage)
 
-    def _show_equation(self, state: str, expr: sympy.Expr) -> dict[str, str]:
-        """Show an equation of a system that is searched as a whole."""
+    def _show_equation(
+        self, state: str, expr: sympy.Expr, error: str = "", stage: str = "best so far"
+    ) -> dict[str, str]:
+        """Show an equation; what is shown already is not written again."""
         if self._shown.get(state, (None,))[0] != expr:
             own = tidy(expr)
             words = {"mathml": to_mathml(own, state), "text": f"{state}' = {shown(own, 4)}"}
-            words |= {"error": "", "stage": "best so far", "formula": to_text(own)}
+            words |= {"error": error, "stage": stage, "formula": to_text(own)}
             self._shown[state] = expr, words
         return self._shown[state][1]
 

@@ -360,16 +360,8 @@ class Problem:
             exact = self._confirm(system)
             if exact is None:
                 return None
-            match = polish(
-                system,
-                self.runs,
-                self.inputs,
-                samples,
-                noise,
-                self.settings.selection.fit,
-                None,
-                exact,
-            )
+            fit = self.settings.selection.fit
+            match = polish(system, self.runs, self.inputs, samples, noise, fit, None, exact)
         else:
             match = self._polish(system, noise)
         if not self.is_allowed(state, match.exprs[state]):

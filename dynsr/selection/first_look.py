@@ -367,7 +367,7 @@ class _Search:
         ----------
         exprs : the formulas.
         """
-        own, prior, written = self.samples, textbooks(), write_down(self.known.items())
+        own, written = self.samples, write_down(self.known.items())
         for expr in exprs:
             bodies = [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
             if not all(map(self.limits.allow, bodies)):
@@ -376,7 +376,7 @@ class _Search:
             yield _Choice(
                 expr,
                 frozenset(read_equation(expr)),
-                prior.bits_together(expr, self._place, written) + added_bits(expr),
+                self._length(expr, written),
                 len(free_constants(expr, "c")[1]),
                 float(np.median(misses)) / self.size,
                 float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
@@ -414,9 +414,10 @@ class _Search:
                 near.append(simple)
         return near[0] if near else None
 
-    def _length(self, expr: sympy.Expr) -> float:
-        """Bits of a formula without its constants, by the textbooks."""
-        return textbooks().bits_together(expr, self._place, Written()) + added_bits(expr)
+    def _length(self, expr: sympy.Expr, written: Written | None = None) -> float:
+        """Bits of a formula without its constants, by the textbooks, after what is written."""
+        alone = textbooks().bits_together(expr, self._place, written or Written())
+        return alone + added_bits(expr)
 
     def _in_simple_numbers(self, choice: _Choice, share: float | None) -> sympy.Expr:
         if (choice, share) not in self.simple:

@@ -714,10 +714,8 @@ def propose(
                 costs[i] = each + sum(term_bits(term, place, stands) for term in terms)
             continue
         if allow is None or allow(body):
-            inside = form.constants
             # Those of another equation's term are known, and stay.
-            if form.own in begun:
-                inside = len(body.atoms(sympy.Float))
+            inside = len(body.atoms(sympy.Float)) if form.own in begun else form.constants
             written_out = prior.term_bits(form.read(names), place, stands) + _own_bits(body)
             # What the user offers is told by which of them it is.
             told = min(written_out, math.log2(len(offered))) if form.own in offered else written_out
