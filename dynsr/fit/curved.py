@@ -418,7 +418,9 @@ class CurvedFit(ScaledFit):
         """
         own = covariance_of(self.whole)
         if np.all(np.isfinite(own)):
-            own = own + sum((self._by_cost(place, own) for place in range(len(self.curves))), 0.0)
+            likelihood = _Likelihood.of(self)
+            places = range(len(self.curves))
+            own = own + sum((self._by_cost(likelihood, place, own) for place in places), 0.0)
         own = own * self.scale
         if np.all(np.isfinite(own)):
             found: np.ndarray = self.ways @ own @ self.ways.T
@@ -428,9 +430,8 @@ class CurvedFit(ScaledFit):
         own[unknown] = own[:, unknown] = np.inf
         return own
 
-    def _by_cost(self, place: int, own: np.ndarray) -> np.ndarray:
+    def _by_cost(self, likelihood: _Likelihood, place: int, own: np.ndarray) -> np.ndarray:
         """(Q, Q) what the covariance gains where the cost of one curve is not known."""
-        likelihood = _Likelihood.of(self)
         reach, step = self.settings.widest, self.settings.close
         moves = np.zeros((round(2 * reach / step) + 1, len(self.curves)))
         moves[:, place] = np.linspace(-reach, reach, len(moves))
@@ -438,10 +439,9 @@ class CurvedFit(ScaledFit):
         values = np.array([value for value, _, _ in tried])
         weights = np.exp((np.min(values) - values) / 2)
         found: np.ndarray = np.zeros_like(own)
-        for weight, (_, moved, whole) in zip(weights / weights.sum(), tried, strict=True):
+        for weight, (_, moved, other) in zip(weights / weights.sum(), tried, strict=True):
             # What weighs nothing may have no inverse.
             if weight > np.finfo(float).eps:
-                other = np.linalg.pinv(whole, hermitian=True)
                 found += weight * (other - own + np.outer(moved, moved) / self.scale)
         return found
 
@@ -839,7 +839,7 @@ class _Likelihood:
         )
 
     def __call__(self, moves: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Give minus twice the logarithm for costs, what the numbers move by, and what they know.
+        """Give minus twice the logarithm for costs, what the numbers move by, and their covariance.
 
         Parameters
         ----------
@@ -849,12 +849,13 @@ class _Likelihood:
         # At the fit the slope of the data's part is minus that of the bending.
         pull = np.einsum("j,jq->q", costs - self.now, self.ahead)
         whole = self.told + np.einsum("j,jpq->pq", costs, self.forms)
-        step = -np.linalg.pinv(whole, hermitian=True) @ pull
+        inverse = np.linalg.pinv(whole, hermitian=True)
+        step = -inverse @ pull
         paid = self.squares + float(costs @ self.levels) + float(pull @ step)
         logs = np.linalg.slogdet(whole)[1] - float(np.dot(self.ranks, np.log(costs)))
         found = self.rows * math.log(max(paid, 1e-300)) if self.rows else paid
         # Where the data say nothing of some direction, no cost is better than another.
-        return found + float(logs) if np.isfinite(found + logs) else 1e300, step, whole
+        return found + float(logs) if np.isfinite(found + logs) else 1e300, step, inverse
 
 
 def _choose_costs(fit: CurvedFit, settings: CurvedSettings) -> np.ndarray:
