@@ -16,15 +16,11 @@ from .discovery import (
     Parameter,
     Parameters,
     ParametricSystem,
-    Score,
     TrajectoryRegressor,
     bootstrap,
     discover,
-    equation_rmse,
     identifiability,
     load,
-    score_expressions,
-    trajectory_loss,
 )
 from .engines import add_noise, find_engine, simulate
 from .errors import DynsrError, EngineError, EngineUnavailable, InputError
@@ -40,6 +36,7 @@ from .methods import (
     make_method,
 )
 from .paper import audit, printed_loss, replicate
+from .verdict import Score, equation_rmse, score_expressions, trajectory_loss
 
 __version__: str
 

@@ -17,6 +17,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from importlib import import_module
 from typing import Any, TypeVar, get_args, get_origin
 from warnings import warn
 
@@ -119,6 +120,31 @@ def renamed_exports(module: str, find: Callable[[str], Any], **names: str) -> Ca
             return find(name)
         _warn_renamed(f"{module}.{name}", names[name])
         return find(names[name])
+
+    return found
+
+
+def moved_exports(find: Callable[[str], Any], *rooms: str) -> Callable[[str], Any]:
+    """Give the ``__getattr__`` of a module that gives what now is in other modules, too.
+
+    Parameters
+    ----------
+    find : gives what the module exports by its name; raises AttributeError for others.
+    rooms : names of the modules that export the rest.
+
+    >>> from types import SimpleNamespace
+    >>> moved_exports(SimpleNamespace(pen=1).__getattribute__, "string")("digits")
+    '0123456789'
+    """
+
+    def found(name: str) -> Any:
+        try:
+            return find(name)
+        except AttributeError:
+            for room in map(import_module, rooms):
+                if name in room.__all__:
+                    return getattr(room, name)
+            raise
 
     return found
 

@@ -13,12 +13,12 @@ from dynsr.discovery.orders import Form
 from dynsr.discovery.problem import DISCOVERY, Problem, pool_formulas
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import Found
-from dynsr.discovery.verdict import follows_to, likely_cause
 from dynsr.engines import training_trajectory
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, score_candidate, tidy
 from dynsr.jobs import Budget
 from dynsr.methods import read_demands
+from dynsr.verdict.levels import follows_to, likely_cause
 
 QUICK = {"preset": "quick", "jobs": 1, "progress": False}
 

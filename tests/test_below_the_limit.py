@@ -29,7 +29,6 @@ from dynsr.data import (
     write_kept,
 )
 from dynsr.discovery.scaling import Units
-from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
 from dynsr.fit import (
     Collocation,
@@ -42,6 +41,7 @@ from dynsr.fit import (
 )
 from dynsr.fit.censored import Censored, deviance, residual, steepness
 from dynsr.report.plots import draw_states
+from dynsr.verdict.flow_verdict import give_verdict
 from tests.command_line import run as run_command
 
 # On reading it is said how many cells are beyond a limit.

@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynsr
-from dynsr.discovery.conservation import conserve, find_conserved
 from dynsr.expression import evaluate, parse
+from dynsr.selection.conservation import conserve, find_conserved
 
 RATES = {"a": "-0.9*a + 0.3*b", "b": "0.9*a - 0.8*b + 0.2*c", "c": "0.5*b - 0.2*c"}
 

@@ -11,13 +11,13 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.prediction import predict
 from dynsr.discovery.result import Discovery
 from dynsr.errors import MissingExtra, say_install
 from dynsr.export.formats import write_format
 from dynsr.export.objects import make_casadi, make_control, make_do_mpc
 from dynsr.export.source import Source
 from dynsr.expression.parsing import parse
+from dynsr.verdict.prediction import predict
 
 MAP = {"x": parse("3.7*x - 3.7*x^2 + 0.1*sin(t)")}
 

@@ -12,10 +12,10 @@ from dynsr.data.reading import write_csv
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.summary import DataSummary
-from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.errors import InputError
 from dynsr.export.source import Source
 from dynsr.expression.parsing import parse
+from dynsr.verdict.levels import StateVerdict, Verdict
 
 
 @pytest.fixture

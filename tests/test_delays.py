@@ -18,7 +18,6 @@ from dynsr.discovery import delayed as delayed_search
 from dynsr.discovery.delayed import _begin, _Begun, search_delayed
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
 from dynsr.discovery.options import Options
-from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.expression import parse
 from dynsr.fit import (
     DelayedSystem,
@@ -30,6 +29,7 @@ from dynsr.fit import (
 )
 from dynsr.jobs import TimeUp
 from dynsr.selection import ComparisonSettings
+from dynsr.verdict.levels import StateVerdict, Verdict
 from tests.command_line import run
 
 X, BEFORE = sympy.symbols("x x_delayed")

@@ -546,7 +546,7 @@ def test_equations_that_are_not_found_have_no_intervals(capsys):
     of equations that the data refuse are details.
     """
     from dynsr.cli.discovery import show_equations, show_reasons
-    from dynsr.discovery.verdict import StateVerdict, summarise
+    from dynsr.verdict.levels import StateVerdict, summarise
 
     words = "the equations do not reproduce the data (R2 {})."
     states = {
@@ -577,7 +577,7 @@ def test_a_reason_is_printed_once(monkeypatch, capsys):
     from types import SimpleNamespace
 
     from dynsr.cli.discovery import show_reasons
-    from dynsr.discovery.verdict import StateVerdict, summarise
+    from dynsr.verdict.levels import StateVerdict, summarise
 
     states = {
         "x": StateVerdict("law", "reproduces the data.", 1.0),

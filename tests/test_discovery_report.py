@@ -16,7 +16,6 @@ from test_profile_likelihood import noisy_rabbits
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import StateVerdict, summarise
 from dynsr.errors import InputError
 from dynsr.expression import shown
 from dynsr.expression.parsing import parse
@@ -25,6 +24,7 @@ from dynsr.jobs import to_plain
 from dynsr.methods import choose_methods
 from dynsr.report import discovery as discovery_report
 from dynsr.report.discovery import place_front, render_discovery, show_branches
+from dynsr.verdict.levels import StateVerdict, summarise
 
 
 @pytest.fixture(scope="module")

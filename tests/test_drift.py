@@ -5,13 +5,14 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.drift import drift_of_rows
-from dynsr.discovery.drift_exact import same_in_time
-from dynsr.discovery.map_verdict import give_map_verdict
-from dynsr.discovery.maps import keep_within, measure_step_errors
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import explain, give_verdict
 from dynsr.expression.parsing import parse
+from dynsr.verdict.drift import drift_of_rows
+from dynsr.verdict.drift_exact import same_in_time
+from dynsr.verdict.flow_verdict import give_verdict
+from dynsr.verdict.levels import explain
+from dynsr.verdict.map_verdict import give_map_verdict
+from dynsr.verdict.maps import keep_within, measure_step_errors
 
 
 def integrate(slope, x0, end, rows, noise=0.0, seed=0, names=("x", "y")):

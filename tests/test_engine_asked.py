@@ -22,7 +22,6 @@ from dynsr.cli.app import app
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM, System
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.estimator import DynsrRegressor
-from dynsr.discovery.prediction import MEASURED
 from dynsr.discovery.search import discover
 from dynsr.engines import registry
 from dynsr.engines.base import InitialValueProblem, SparseProblem
@@ -31,6 +30,7 @@ from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.simulation import add_noise, simulate, simulate_driven
 from dynsr.engines.testing import RecordingEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
+from dynsr.verdict.prediction import MEASURED
 
 ROOMS = [
     *("data", "engines", "fit", "methods", "selection", "discovery", "report", "paper"),

@@ -14,7 +14,6 @@ from command_line import run
 import dynsr
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.estimator import DynsrRegressor
-from dynsr.discovery.prediction import MEASURED, predict
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
 from dynsr.engines import registry
@@ -24,6 +23,7 @@ from dynsr.engines.testing import RecordingEngine
 from dynsr.errors import EngineUnavailable, InputError, say_install
 from dynsr.methods.genetic import GeneticAlgorithm
 from dynsr.methods.sindy import SINDy
+from dynsr.verdict.prediction import MEASURED, predict
 
 T = np.linspace(0.0, 3.0, 61)
 FAKE = Path(__file__).parent / "fake_julia"

@@ -6,7 +6,6 @@ from known_systems import made
 from scipy.integrate import solve_ivp
 
 from dynsr.data.system import CART_POLE
-from dynsr.discovery.prediction import predict
 from dynsr.discovery.result import Discovery
 from dynsr.engines.simulation import simulate
 from dynsr.errors import InputError
@@ -18,6 +17,7 @@ from dynsr.expression.export import (
     with_signs,
 )
 from dynsr.expression.parsing import parse
+from dynsr.verdict.prediction import predict
 
 EQUATIONS = dict(zip(CART_POLE.states, CART_POLE.rhs, strict=True))
 STATE = np.array([0.3, -0.2, 1.1, 0.4])

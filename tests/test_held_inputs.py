@@ -11,12 +11,12 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.data import Trajectory, read_trajectories
-from dynsr.discovery.prediction import Measured, predict
-from dynsr.discovery.verdict import give_verdict
 from dynsr.engines import Drive, EmbeddedEngine, InitialValueProblem
 from dynsr.engines.adaptive import integrate_in_parts
 from dynsr.fit import Measurements, fit_along, match_trajectories
 from dynsr.selection.approximations import MeasuredRuns
+from dynsr.verdict.flow_verdict import give_verdict
+from dynsr.verdict.prediction import Measured, predict
 
 T, U = sympy.symbols("T u")
 TRUTH = np.array([-0.03, 0.02, 0.66])

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from dynsr.data.system import CART_POLE, PENDULUM
-from dynsr.discovery.prediction import predict
 from dynsr.engines.base import InitialValueProblem, SparseProblem
 from dynsr.engines.drives import Drive
 from dynsr.engines.embedded import EmbeddedEngine
@@ -29,6 +28,7 @@ from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, EngineUnavailable
 from dynsr.expression.parsing import parse
 from dynsr.jobs.budget import TimeUp, time_limit
+from dynsr.verdict.prediction import predict
 
 FAKE = Path(__file__).parent / "fake_julia"
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the stand-in is a POSIX program")

@@ -19,8 +19,8 @@ from dynsr.data import (
     smooth,
     take_trajectories,
 )
-from dynsr.discovery.verdict import give_verdict
 from dynsr.fit import Measurements, fit_along, residual_bits
+from dynsr.verdict.flow_verdict import give_verdict
 from tests.command_line import run
 
 X = sympy.Symbol("x")

@@ -11,9 +11,9 @@ from command_line import run
 
 import dynsr
 from dynsr.data import Trajectory, odd_times, read_trajectories
-from dynsr.discovery.maps import iterate, measure_step_errors, pair_rows, score_map
 from dynsr.errors import EngineError, InputError
 from dynsr.methods import RationalSearch
+from dynsr.verdict.maps import iterate, measure_step_errors, pair_rows, score_map
 
 FEW = RationalSearch(costs=(2,), max_terms=2, denominators=False, rounds=1)
 

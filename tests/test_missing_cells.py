@@ -23,12 +23,12 @@ from dynsr.data import (
     take_trajectories,
     write_csv,
 )
-from dynsr.discovery.maps import pair_rows
-from dynsr.discovery.verdict import give_verdict
 from dynsr.errors import DynsrWarning
 from dynsr.expression import parse
 from dynsr.fit import Measurements, fit_along, match_trajectories, skeleton
 from dynsr.report.plots import draw_phase_portrait, draw_states
+from dynsr.verdict.flow_verdict import give_verdict
+from dynsr.verdict.maps import pair_rows
 
 X, Y = sympy.symbols("x y")
 LAW = {"x": 1.1 * X - 0.4 * X * Y, "y": 0.1 * X * Y - 0.4 * Y}

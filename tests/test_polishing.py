@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.prediction import predict
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate
 from dynsr.fit.constants import free_constants
@@ -19,6 +18,7 @@ from dynsr.fit.settings import FIT
 from dynsr.fit.shooting import match_trajectories, measure_errors
 from dynsr.fit.variation import loosen
 from dynsr.selection.pick import Pick, RankedCandidate, rank_candidates
+from dynsr.verdict.prediction import predict
 
 TRUE = {"x": "1.5*x - x*y", "y": "x*y - 3*y"}
 

@@ -10,13 +10,13 @@ from scipy.interpolate import CubicSpline
 from dynsr.data.reading import take_trajectories
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.maps import iterate
-from dynsr.discovery.prediction import Measured, predict
 from dynsr.discovery.result import Discovery
 from dynsr.engines.base import InitialValueProblem
 from dynsr.engines.simulation import simulate
 from dynsr.errors import EngineError, InputError
 from dynsr.expression.parsing import parse
+from dynsr.verdict.maps import iterate
+from dynsr.verdict.prediction import Measured, predict
 
 T = np.linspace(0.0, 10.0, 101)
 SINE = np.sin(T)

@@ -12,9 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import dynsr
-from dynsr.discovery import Discovery, StateVerdict, Verdict
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
 from dynsr.fit import Measurements, Profiling, fit_along, loosen_all
+from dynsr.verdict import StateVerdict, Verdict
 
 LAW = Verdict("law", "it follows", {"x": StateVerdict("law", "it follows", 1.0)})
 # The truth behind them: an enzyme, x' = -x/(x + 3), that starts far from saturation.

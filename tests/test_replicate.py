@@ -183,8 +183,8 @@ def test_quick_runs_say_so(tmp_path):
 def test_the_genetic_algorithm_replicates_in_the_paper_settings(tmp_path):
     """A real cell: the paper's settings are in the record, its losses are those of its formula."""
     from dynsr.data.system import PENDULUM
-    from dynsr.discovery.scoring import equation_rmse, trajectory_loss
     from dynsr.paper.protocol import printed_loss
+    from dynsr.verdict.scoring import equation_rmse, trajectory_loss
 
     record = replicate(["pendulum"], ["ga"], 1, jobs=1, out=tmp_path).records[0]
     assert (record.settings["bits"], record.settings["population"]) == (20, 70)

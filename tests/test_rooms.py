@@ -31,6 +31,7 @@ ROOMS = (
     "library",
     "selection",
     "jobs",
+    "verdict",
     "discovery",
     "export",
     "report",
@@ -54,6 +55,15 @@ EXCEPTIONS = {
     ("engines/equilibria.py", "report"): "Branches.plot is the branches' own verb",
     ("discovery/batch.py", "report"): "a batch leaves a page of its files",
     ("discovery/result.py", "export"): "Discovery.export is the result's own verb",
+}
+
+# Room -> names that were exported by discovery.
+MOVED = {
+    "verdict": [
+        *("OtherFormula", "Score", "StateVerdict", "TermCertainty", "Verdict", "VerdictSettings"),
+        *("equation_rmse", "iterate", "pair_rows", "predict", "score_expressions"),
+        *("trajectory_loss", "trajectory_losses", "write_map_latex", "write_map_mathml"),
+    ],
 }
 
 # Foreign module -> the only files that may import it, by name.
@@ -210,6 +220,19 @@ def test_a_room_exports_what_others_take():
         if (room, name) not in taken and name not in public and name not in docs
     ]
     assert idle == []
+
+
+@pytest.mark.parametrize(("name", "room"), [(name, room) for room in MOVED for name in MOVED[room]])
+def test_what_moved_is_given_where_it_was(name, room):
+    """What users import from ``dynsr.discovery`` is there, though another room has it."""
+    moved = getattr(import_module(f"dynsr.{room}"), name)
+    assert getattr(import_module("dynsr.discovery"), name) is moved
+
+
+def test_what_never_was_in_a_room_is_no_name_of_it():
+    """A name that no room has is an AttributeError that names the room that was asked."""
+    with pytest.raises(AttributeError, match=r"dynsr\.discovery.*verdicts"):
+        _ = import_module("dynsr.discovery").verdicts
 
 
 def test_the_rooms_are_what_the_folder_holds():

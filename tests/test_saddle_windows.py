@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynsr.data import Trajectory
-from dynsr.discovery.verdict import give_verdict
 from dynsr.expression import parse
+from dynsr.verdict.flow_verdict import give_verdict
 
 LAW = {"x": "10*(y - x)", "y": "28*x - y - x*z", "z": "x*y - 8*z/3"}
 

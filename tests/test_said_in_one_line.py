@@ -8,10 +8,10 @@ import pytest
 from command_line import run
 
 import dynsr
-from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.errors import DynsrError, InputError, in_words
 from dynsr.jobs.store import FolderTaken, RecordError, RunFolder, read_json
 from dynsr.methods import AbstractMethod, silent
+from dynsr.verdict.levels import StateVerdict, Verdict
 
 T = np.linspace(0, 3, 31)
 SHORT = np.linspace(0, 2, 21)

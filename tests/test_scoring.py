@@ -8,12 +8,6 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr.data.system import CART_POLE, LORENZ, LOTKA_VOLTERRA, PAPER_SYSTEMS, PENDULUM, System
-from dynsr.discovery.scoring import (
-    equation_rmse,
-    score_expressions,
-    trajectory_loss,
-    trajectory_losses,
-)
 from dynsr.errors import EngineError, InputError
 from dynsr.expression.parsing import parse
 from dynsr.paper.protocol import (
@@ -22,6 +16,12 @@ from dynsr.paper.protocol import (
     is_of_paper,
     printed_loss,
     score_as_printed,
+)
+from dynsr.verdict.scoring import (
+    equation_rmse,
+    score_expressions,
+    trajectory_loss,
+    trajectory_losses,
 )
 
 # Two states that do not touch each other, so that losses have closed forms.

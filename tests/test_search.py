@@ -7,7 +7,6 @@ import sympy
 from dynsr.benchmarks.lectures import find_lectures
 from dynsr.data.samples import Samples, make_samples
 from dynsr.data.system import LOTKA_VOLTERRA, PENDULUM
-from dynsr.discovery.scoring import trajectory_loss
 from dynsr.engines.simulation import training_trajectory
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
@@ -18,6 +17,7 @@ from dynsr.methods.feynman.search import DIRECT_STAGES, STAGES, DynAIFeynman, Ex
 from dynsr.methods.feynman.stages.domain_change import DomainChange
 from dynsr.methods.feynman.stages.polynomial import Polynomial
 from dynsr.methods.rational import RationalSearch
+from dynsr.verdict.scoring import trajectory_loss
 
 _QUICK = DynAIFeynman(
     stages=("polynomial", "brute force", "refinement"), candidates=5000, exact_values=None

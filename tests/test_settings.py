@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.discovery.problem import DISCOVERY
-from dynsr.discovery.verdict import OtherFormula, StateVerdict, VerdictSettings, explain
 from dynsr.expression import parse
 from dynsr.fit import CollocationSettings, ProfileSettings
 from dynsr.jobs import to_plain
@@ -19,6 +18,7 @@ from dynsr.library import LibrarySettings
 from dynsr.selection.first_look import look
 from dynsr.selection.hidden import HiddenSettings
 from dynsr.selection.parts import Parts
+from dynsr.verdict.levels import OtherFormula, StateVerdict, VerdictSettings, explain
 
 SOURCE = Path(dynsr.__file__).parent
 QUICK = {"preset": "quick", "jobs": 1, "progress": False}

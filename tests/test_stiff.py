@@ -6,14 +6,14 @@ from scipy.integrate import solve_ivp
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, find_layers
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery import layers
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import give_verdict
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import score_candidate
 from dynsr.fit.shooting import build_shooting, prepare
 from dynsr.methods import RationalSearch
 from dynsr.selection.pick import explains_all, forecast_errors
+from dynsr.verdict import layers
+from dynsr.verdict.flow_verdict import give_verdict
 
 MU = 50.0
 

@@ -12,12 +12,12 @@ import pytest
 import dynsr
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import OtherFormula, StateVerdict, Verdict, VerdictSettings
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
 from dynsr.jobs.store import from_plain, to_plain
 from dynsr.selection import ApproximationSettings
+from dynsr.verdict.levels import OtherFormula, StateVerdict, Verdict, VerdictSettings
 
 SCRIPT = """
 from __future__ import annotations

@@ -13,8 +13,8 @@ from scipy.optimize import curve_fit
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery import RunParameters
-from dynsr.discovery.verdict import give_verdict
 from dynsr.jobs import FolderTaken
+from dynsr.verdict.flow_verdict import give_verdict
 from tests.command_line import run
 
 X = sympy.Symbol("x")

@@ -7,14 +7,11 @@ import sympy
 from command_line import run
 
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.following import open_constants
 from dynsr.discovery.intervals import list_constants
 from dynsr.discovery.orders import Form
-from dynsr.discovery.prediction import predict
 from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import explain, give_verdict
 from dynsr.errors import InputError
 from dynsr.expression.evaluation import evaluate
 from dynsr.expression.export import shown
@@ -23,6 +20,10 @@ from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs.budget import Budget
 from dynsr.methods.demands import read_demands
 from dynsr.methods.rational import RationalSearch
+from dynsr.verdict.flow_verdict import give_verdict
+from dynsr.verdict.following import open_constants
+from dynsr.verdict.levels import explain
+from dynsr.verdict.prediction import predict
 
 QUICK = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1)
 PREY = {"x": parse("1.3*x - 0.9*x*y"), "y": parse("0.8*x*y - 1.6*y")}

@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 
 import dynsr
 from dynsr.data import Trajectory
-from dynsr.discovery.map_verdict import give_map_verdict
-from dynsr.discovery.verdict import give_verdict
 from dynsr.expression import evaluate, parse
 from dynsr.methods import RationalSearch
+from dynsr.verdict.flow_verdict import give_verdict
+from dynsr.verdict.map_verdict import give_map_verdict
 
 # Sums and ratios of two terms compete with the law; more of them only take longer.
 FEW = {"method": RationalSearch(costs=(2,), max_terms=2, rounds=1), "jobs": 1}

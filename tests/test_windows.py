@@ -20,12 +20,12 @@ from dynsr.data import (
 )
 from dynsr.discovery import DISCOVERY, Discovery, discover
 from dynsr.discovery.every_row import on_every_row, take_windows
-from dynsr.discovery.verdict import StateVerdict, Verdict
 from dynsr.expression import parse
 from dynsr.fit import ParetoFront, fit_blocks
 from dynsr.fit.blocks import cut_blocks
 from dynsr.methods import RationalSearch
 from dynsr.report.discovery import render_discovery
+from dynsr.verdict.levels import StateVerdict, Verdict
 
 RNG = np.random.default_rng(3)
 T = np.linspace(0.0, 100.0, 4001)

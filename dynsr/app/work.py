@@ -39,7 +39,6 @@ from dynsr.discovery import (
     keep_formulas,
     next_to_data,
     write_lines,
-    write_map_mathml,
 )
 from dynsr.errors import DynsrError, DynsrWarning, InputError, one_line, quoted
 from dynsr.export import Source, list_formats, name_file, pack_format
@@ -64,6 +63,7 @@ from dynsr.report import (
     show_flow,
     show_noise,
 )
+from dynsr.verdict import write_map_mathml
 
 if TYPE_CHECKING:
     import sympy

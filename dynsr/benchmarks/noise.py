@@ -16,7 +16,7 @@ from joblib import effective_n_jobs
 
 from dynsr import __version__
 from dynsr.data import System, Trajectory
-from dynsr.discovery import discover, equation_rmse
+from dynsr.discovery import discover
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, add_noise, training_trajectory
 from dynsr.errors import DynsrError, InputError
 from dynsr.expression import parse, to_text
@@ -24,6 +24,7 @@ from dynsr.fit import ParetoFront
 from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
 from dynsr.methods import DEFAULT_PRESET, AbstractMethod, Progress, Report, silent
 from dynsr.report import Formula, Table
+from dynsr.verdict import equation_rmse
 
 NOISE_LEVELS = (0.0, 0.001, 0.01, 0.05)
 _EXACT_WITHIN = 0.02

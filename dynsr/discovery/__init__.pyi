@@ -9,28 +9,18 @@ from .free_parts import FreePart, FreeParts, FreeSettings
 from .hybrid import HybridModel
 from .identifying import Identifiability, IdentifiabilitySettings, identifiability
 from .intervals import Constant, write_interval
-from .maps import iterate, pair_rows, write_map_latex, write_map_mathml
 from .orders import write_lines
 from .parameters import Parameter, Parameters, ParametricSystem
-from .prediction import predict
 from .problem import DISCOVERY, DiscoverySettings
 from .profile import Profile
 from .records import RECORD, is_own_record
 from .result import Discovery, Inclusion, is_own_data, keep, load
-from .scoring import (
-    Score,
-    equation_rmse,
-    score_expressions,
-    trajectory_loss,
-    trajectory_losses,
-)
 from .search import discover
 from .second_order import explain_order
 from .suggesting import Alternative, Experiment, Suggestion, SuggestionSettings
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
 from .varying import VarySettings
-from .verdict import OtherFormula, StateVerdict, TermCertainty, Verdict, VerdictSettings
 
 __all__ = [
     "DISCOVERY",
@@ -55,44 +45,29 @@ __all__ = [
     "Identifiability",
     "IdentifiabilitySettings",
     "Inclusion",
-    "OtherFormula",
     "Parameter",
     "Parameters",
     "ParametricSystem",
     "Profile",
     "RunParameters",
-    "Score",
-    "StateVerdict",
     "Suggestion",
     "SuggestionSettings",
-    "TermCertainty",
     "TrajectoryRegressor",
     "VarySettings",
-    "Verdict",
-    "VerdictSettings",
     "bootstrap",
     "cells_of",
     "discover",
     "discover_each",
-    "equation_rmse",
     "explain_order",
     "identifiability",
     "is_own_data",
     "is_own_record",
-    "iterate",
     "keep",
     "keep_formulas",
     "load",
     "name_windows",
     "next_to_data",
-    "pair_rows",
-    "predict",
     "read_batch",
-    "score_expressions",
-    "trajectory_loss",
-    "trajectory_losses",
     "write_interval",
     "write_lines",
-    "write_map_latex",
-    "write_map_mathml",
 ]

@@ -13,15 +13,13 @@ from dataclasses import replace
 
 import sympy
 
-from dynsr.discovery.alternatives import count_constants
-from dynsr.discovery.following import LEAST_SQUARE
 from dynsr.discovery.problem import OtherFormulas, Problem
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import LEVELS, NOT_FOUND, OtherFormula, Verdict
 from dynsr.expression import parse, shown
 from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
 from dynsr.jobs import finish_by
 from dynsr.library import structure_in
+from dynsr.verdict import LEAST_SQUARE, LEVELS, NOT_FOUND, OtherFormula, Verdict, count_constants
 
 
 def adopt_better(

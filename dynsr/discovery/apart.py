@@ -14,15 +14,14 @@ from dynsr import __version__
 from dynsr.data import Trajectory
 from dynsr.discovery.hidden import record_search
 from dynsr.discovery.options import Options, Search
-from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep_if_asked
-from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, to_text
 from dynsr.fit import ParetoFront, read_inputs
 from dynsr.jobs import RunFolder, fingerprint, to_plain
+from dynsr.verdict import LAW, LEVELS, name_engines, record_hold
 
 Asked = bool | tuple[str, ...]
 

@@ -17,7 +17,6 @@ from dynsr.data import Columns, check_replaceable, is_own_page, load_with_doses
 from dynsr.discovery.orders import write_lines
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
-from dynsr.discovery.verdict import NOT_FOUND
 from dynsr.errors import DynsrError, InputError, one_line
 from dynsr.jobs import (
     REPORT,
@@ -33,6 +32,7 @@ from dynsr.jobs import (
     to_plain,
 )
 from dynsr.methods import Report
+from dynsr.verdict import NOT_FOUND
 
 # Level of a file in which nothing could be searched.
 FAILED = "failed"

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynsr.discovery.prediction import MEASURED, predict
 from dynsr.discovery.result import Discovery
 from dynsr.engines import AbstractEngine, EmbeddedEngine, find_engine
 from dynsr.errors import EngineError
 from dynsr.fit import rmse
+from dynsr.verdict import MEASURED, predict
 
 
 def confirm(found: Discovery) -> Discovery:

@@ -19,7 +19,12 @@ from dynsr.discovery.delays import Delayed, DelayFit, leaves_only_noise
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import (
+from dynsr.errors import InputError
+from dynsr.expression import shown
+from dynsr.fit import skeleton, tidy
+from dynsr.jobs import Budget, finish_by
+from dynsr.selection import ComparisonSettings
+from dynsr.verdict import (
     LAW,
     LEVELS,
     NOBODY,
@@ -30,11 +35,6 @@ from dynsr.discovery.verdict import (
     is_probable,
     summarise,
 )
-from dynsr.errors import InputError
-from dynsr.expression import shown
-from dynsr.fit import skeleton, tidy
-from dynsr.jobs import Budget, finish_by
-from dynsr.selection import ComparisonSettings
 
 # Share of the variance of the states that equations explain with their own delayed states.
 _LEAST = DISCOVERY.verdict.r2

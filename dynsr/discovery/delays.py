@@ -24,7 +24,6 @@ from scipy.optimize import minimize_scalar
 from dynsr.data import Hold, SmoothedTrajectory, Trajectory
 from dynsr.discovery.intervals import take_apart, write_interval
 from dynsr.discovery.parameters import name_constants, put_names
-from dynsr.discovery.prediction import SLACK, Measured, predict
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, Drive
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import parse
@@ -51,6 +50,7 @@ from dynsr.selection import (
     best_subsets,
     most_of_noise,
 )
+from dynsr.verdict import SLACK, Measured, predict
 
 _ENDING = "_delayed"
 

@@ -24,7 +24,6 @@ from dynsr.data import (
 )
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import APPROXIMATION, LAW, NOT_FOUND, Verdict, summarise
 from dynsr.expression import differentiate, evaluate
 from dynsr.fit import (
     FitSettings,
@@ -37,6 +36,7 @@ from dynsr.fit import (
     loosen_all,
     tidy,
 )
+from dynsr.verdict import APPROXIMATION, LAW, NOT_FOUND, Verdict, summarise
 
 
 def take_windows(

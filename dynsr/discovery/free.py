@@ -26,19 +26,8 @@ from dynsr.discovery.hidden import record_search
 from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
-from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
-from dynsr.discovery.verdict import (
-    APPROXIMATION,
-    LAW,
-    NOBODY,
-    NOT_FOUND,
-    Verdict,
-    explain,
-    give_verdict,
-    summarise,
-)
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, evaluate, shown, to_text
@@ -73,6 +62,18 @@ from dynsr.fit import (
 from dynsr.jobs import Budget, Step
 from dynsr.methods import Limits, make_method, read_demands
 from dynsr.selection import SystemComparison, look
+from dynsr.verdict import (
+    APPROXIMATION,
+    LAW,
+    NOBODY,
+    NOT_FOUND,
+    Verdict,
+    explain,
+    give_verdict,
+    name_engines,
+    record_hold,
+    summarise,
+)
 
 # Options of a search that have no meaning where all but some functions is known.
 _REFUSED = (

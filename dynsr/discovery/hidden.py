@@ -16,11 +16,9 @@ from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
 from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.options import Options
-from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
-from dynsr.discovery.verdict import NOBODY, explain, give_verdict
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import arguments_of, check_name, to_text
@@ -46,6 +44,7 @@ from dynsr.selection import (
     find_hidden,
     find_without,
 )
+from dynsr.verdict import NOBODY, explain, give_verdict, name_engines, record_hold
 
 _NAME = "hidden"
 # Options of a search that have no meaning where one state was not measured.

@@ -11,7 +11,6 @@ import sympy
 import torch
 
 from dynsr.data import Samples, Trajectory, carry, choose_samples, robust_scale
-from dynsr.discovery.prediction import ABSTOL, RELTOL, Measured
 from dynsr.engines import Drive, Motion, follow
 from dynsr.errors import InputError
 from dynsr.expression import (
@@ -25,6 +24,7 @@ from dynsr.expression import (
 )
 from dynsr.fit import ParetoFront, free_constants
 from dynsr.methods import AbstractMethod, make_method
+from dynsr.verdict import ABSTOL, RELTOL, Measured
 
 
 class EquationModule(torch.nn.Module):

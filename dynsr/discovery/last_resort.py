@@ -18,7 +18,10 @@ from dynsr.data import FEWEST_SMOOTH, diagnose
 from dynsr.discovery.adoption import adopt_better
 from dynsr.discovery.problem import Problem
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import (
+from dynsr.expression import has_pole, round_constants
+from dynsr.fit import FLOOR, Match, fit_along, score_candidate, untouched_match
+from dynsr.selection import Approximation, MeasuredRuns, find_approximations
+from dynsr.verdict import (
     APPROXIMATION,
     LAW,
     LEVELS,
@@ -31,9 +34,6 @@ from dynsr.discovery.verdict import (
     round_off,
     summarise,
 )
-from dynsr.expression import has_pole, round_constants
-from dynsr.fit import FLOOR, Match, fit_along, score_candidate, untouched_match
-from dynsr.selection import Approximation, MeasuredRuns, find_approximations
 
 # Systems of the most accurate formulas of every front that are integrated.
 _MOST = 4

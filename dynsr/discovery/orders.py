@@ -18,10 +18,10 @@ from dynsr.data import (
     choose_second_samples,
     is_still,
 )
-from dynsr.discovery.maps import pair_rows
 from dynsr.errors import InputError
 from dynsr.expression import check_name, write_line
 from dynsr.fit import tidy
+from dynsr.verdict import pair_rows
 
 Order = int | Mapping[str, int]
 

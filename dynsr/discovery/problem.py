@@ -23,26 +23,14 @@ from dynsr.data import (
 from dynsr.discovery.asking import (
     Shares,
 )
-from dynsr.discovery.conservation import conserve
 from dynsr.discovery.delays import DelaySettings
 from dynsr.discovery.free_parts import FREE, FreeSettings
-from dynsr.discovery.map_verdict import give_map_verdict
-from dynsr.discovery.maps import keep_within, match_steps
 from dynsr.discovery.orders import Form, explain_velocity
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
 from dynsr.discovery.varying import VarySettings
-from dynsr.discovery.verdict import (
-    LAW,
-    Verdict,
-    VerdictSettings,
-    give_verdict,
-    hold_to_slopes,
-    likely_cause,
-    untested,
-)
 from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
     Candidate,
@@ -93,11 +81,24 @@ from dynsr.selection import (
     SystemComparison,
     best_so_far,
     compare_systems,
+    conserve,
     families,
     follow_anything,
     lead_with,
     may_be_exact,
     noise_shown,
+)
+from dynsr.verdict import (
+    LAW,
+    Verdict,
+    VerdictSettings,
+    give_map_verdict,
+    give_verdict,
+    hold_to_slopes,
+    keep_within,
+    likely_cause,
+    match_steps,
+    untested,
 )
 
 T = TypeVar("T")

@@ -40,9 +40,7 @@ from dynsr.data import (
     write_kept,
     write_own,
 )
-from dynsr.discovery.alternatives import MORE_CONSTANTS, count_constants
 from dynsr.discovery.by_run import RunParameters
-from dynsr.discovery.by_state import ByState
 from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, put_off, read_history
 from dynsr.discovery.diffusion import (
     Diffusion,
@@ -54,16 +52,6 @@ from dynsr.discovery.diffusion import (
 from dynsr.discovery.free_parts import FreeParts, refuse_curves
 from dynsr.discovery.identifying import Identifiability, identify, with_data
 from dynsr.discovery.intervals import Constant, list_constants, put_constants
-from dynsr.discovery.map_verdict import give_map_verdict
-from dynsr.discovery.maps import (
-    inputs_in,
-    iterate,
-    match_steps,
-    measure_step_covariance,
-    pair_rows,
-    score_map,
-    write_map_latex,
-)
 from dynsr.discovery.orders import form_of, write_lines
 from dynsr.discovery.parameters import (
     Parameter,
@@ -79,7 +67,6 @@ from dynsr.discovery.parameters import (
     put_values,
     rename,
 )
-from dynsr.discovery.prediction import Measured, is_sampled, predict, predict_with_doses
 from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discovery
 from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
@@ -92,14 +79,6 @@ from dynsr.discovery.unmeasured import (
     refuse_hidden,
 )
 from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
-from dynsr.discovery.verdict import (
-    NOBODY,
-    NOT_FOUND,
-    Verdict,
-    VerdictSettings,
-    explain,
-    give_verdict,
-)
 from dynsr.engines import (
     DEFAULT_ENGINE,
     AbstractEngine,
@@ -147,6 +126,29 @@ from dynsr.fit import (
 )
 from dynsr.jobs import RecordError, check_seed, from_plain, read_json, to_plain
 from dynsr.selection import ComparisonSettings, forecast_error
+from dynsr.verdict import (
+    MORE_CONSTANTS,
+    NOBODY,
+    NOT_FOUND,
+    ByState,
+    Measured,
+    Verdict,
+    VerdictSettings,
+    count_constants,
+    explain,
+    give_map_verdict,
+    give_verdict,
+    inputs_in,
+    is_sampled,
+    iterate,
+    match_steps,
+    measure_step_covariance,
+    pair_rows,
+    predict,
+    predict_with_doses,
+    score_map,
+    write_map_latex,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -1503,7 +1505,7 @@ class Discovery:
         ``forecast`` the median miss of forecasts over 50 rows in units of the state's spread,
         ``trajectory_rmse`` the error of one integration from the first row to the last (inf when
         it diverges). Inputs are those of the data: a column of the data goes before the expression
-        of the discovery. A map is scored by :func:`dynsr.discovery.maps.score_map`, and steps with
+        of the discovery. A map is scored by :func:`dynsr.verdict.maps.score_map`, and steps with
         noise in the motion by :func:`dynsr.discovery.diffusion.score_steps`.
 
         Parameters

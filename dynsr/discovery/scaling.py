@@ -21,10 +21,10 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
 from dynsr.discovery.stochastic import search_stochastic
 from dynsr.discovery.unmeasured import coupling_of
-from dynsr.discovery.verdict import OtherFormula, Verdict
 from dynsr.errors import InputError
 from dynsr.expression import expand_terms, parse
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
+from dynsr.verdict import OtherFormula, Verdict
 
 # Columns and spans of sizes up to this one, and down to one over it, are searched as they are.
 _USUAL = 1e6

@@ -35,7 +35,6 @@ from dynsr.discovery.start import Start
 from dynsr.discovery.stochastic import check_stochastic
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.discovery.unseen import search_stepped, take_steps
-from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.discovery.volumes import with_volumes
 from dynsr.discovery.watching import shown_progress
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, start_engine
@@ -44,6 +43,7 @@ from dynsr.expression import counting, read_own_bits
 from dynsr.fit import LossFunction
 from dynsr.jobs import Budget, Step, finish_by
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, Constraints, Must
+from dynsr.verdict import LAW, LEVELS
 
 
 @checked

@@ -14,9 +14,9 @@ from dynsr.data import Trajectory, carry, diagnose, turns_back
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.orders import read_form
 from dynsr.discovery.result import Discovery, keep_if_asked
-from dynsr.discovery.verdict import LAW, LEVELS
 from dynsr.errors import InputError
 from dynsr.jobs import Budget
+from dynsr.verdict import LAW, LEVELS
 
 # Options that say something of the equations of first order.
 _OF_FIRST = (

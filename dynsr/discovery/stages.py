@@ -31,10 +31,8 @@ from dynsr.discovery.asking import (
     settle,
 )
 from dynsr.discovery.last_resort import follow_anyway
-from dynsr.discovery.maps import ENGINES
 from dynsr.discovery.options import Options
 from dynsr.discovery.orders import read_form
-from dynsr.discovery.prediction import name_engines, record_hold
 from dynsr.discovery.problem import (
     OtherFormulas,
     Problem,
@@ -71,7 +69,6 @@ from dynsr.discovery.tasks import (
     tasks_of,
     with_bits,
 )
-from dynsr.discovery.verdict import LAW, NOBODY, Verdict, explain
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError, one_line
 from dynsr.expression import arguments_of, read_own_bits, to_text
@@ -105,6 +102,7 @@ from dynsr.methods import (
     read_demands,
 )
 from dynsr.selection import lead_with, rank_by_length
+from dynsr.verdict import ENGINES, LAW, NOBODY, Verdict, explain, name_engines, record_hold
 
 
 def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:

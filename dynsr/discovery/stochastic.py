@@ -20,27 +20,9 @@ from dynsr.data import Trajectory
 from dynsr.discovery.diffusion import Diffusion, DiffusionTerm, log_interval
 from dynsr.discovery.hidden import claim_folder, record_search
 from dynsr.discovery.intervals import match_constants
-from dynsr.discovery.maps import chance_of, products_of
 from dynsr.discovery.options import Options
-from dynsr.discovery.prediction import record_hold
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
-from dynsr.discovery.verdict import (
-    APPROXIMATION,
-    LAW,
-    NOBODY,
-    NOT_FOUND,
-    OtherFormula,
-    StateVerdict,
-    TermCertainty,
-    Verdict,
-    VerdictSettings,
-    doubt_terms,
-    explain,
-    is_probable,
-    most_by_chance,
-    summarise,
-)
 from dynsr.engines import DEFAULT_ENGINE, refuse_idle
 from dynsr.errors import InputError
 from dynsr.expression import shown, to_text
@@ -60,6 +42,25 @@ from dynsr.selection import (
     StochasticFound,
     StochasticSearch,
     StochasticSearchSettings,
+)
+from dynsr.verdict import (
+    APPROXIMATION,
+    LAW,
+    NOBODY,
+    NOT_FOUND,
+    OtherFormula,
+    StateVerdict,
+    TermCertainty,
+    Verdict,
+    VerdictSettings,
+    chance_of,
+    doubt_terms,
+    explain,
+    is_probable,
+    most_by_chance,
+    products_of,
+    record_hold,
+    summarise,
 )
 
 _NAME = "stochastic"

@@ -18,7 +18,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.alternatives import count_constants
 from dynsr.discovery.parameters import in_columns
 from dynsr.engines import Drive
 from dynsr.errors import InputError
@@ -39,6 +38,7 @@ from dynsr.fit import (
     tidy,
     with_floats,
 )
+from dynsr.verdict import count_constants
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -27,10 +27,10 @@ from dynsr.data import (
 )
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.result import Discovery, keep_if_asked
-from dynsr.discovery.verdict import LAW
 from dynsr.errors import DynsrWarning
 from dynsr.fit import Measurements, fit_along, loosen_all
 from dynsr.jobs import Budget
+from dynsr.verdict import LAW
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from scipy.optimize import approx_fprime, least_squares
 
 from dynsr.data import Dosing, Trajectory, split_volume
 from dynsr.discovery.parameters import Parameter
-from dynsr.discovery.prediction import Measured, predict_with_doses
 from dynsr.discovery.result import Discovery
 from dynsr.errors import EngineError, InputError
+from dynsr.verdict import Measured, predict_with_doses
 
 
 def with_volumes(found: Discovery) -> Discovery:

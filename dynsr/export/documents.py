@@ -6,10 +6,10 @@ from html import escape
 
 import sympy
 
-from dynsr.discovery import write_map_latex, write_map_mathml
 from dynsr.export.citations import write_citations
 from dynsr.export.source import Source
 from dynsr.expression import to_latex, to_mathml
+from dynsr.verdict import write_map_latex, write_map_mathml
 
 
 def write_latex(source: Source) -> str:

@@ -12,12 +12,12 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.data import find_system
-from dynsr.discovery import Score
 from dynsr.engines import AbstractEngine, find_engine
 from dynsr.expression import to_text
 from dynsr.jobs import Step, report_each
 from dynsr.paper.printed import PrintedExpression, printed_expressions
 from dynsr.paper.protocol import printed_loss, score_as_printed, sindy_samples
+from dynsr.verdict import Score
 
 Models = Callable[[AbstractEngine], Mapping[str, sympy.Expr]]
 

@@ -4,7 +4,7 @@ Everything is found by the catalogue's own system (:func:`find_protocol`), never
 that somebody else calls "pendulum" is not the paper's.
 
 The **printed loss** is what the paper's tables really hold, decoded from its printed expressions:
-the trajectory loss of :mod:`dynsr.discovery.scoring` over all states for SINDy and over the first
+the trajectory loss of :mod:`dynsr.verdict.scoring` over all states for SINDy and over the first
 two for every other method, where the altered pendulum starts at (0.3, 0) and the truth at x0.
 """
 
@@ -21,7 +21,6 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.data import PAPER_SYSTEMS, SYSTEMS, Samples, System, Trajectory
-from dynsr.discovery import Score, score_expressions, trajectory_losses
 from dynsr.engines import (
     DEFAULT_ABSTOL,
     DEFAULT_RELTOL,
@@ -35,6 +34,7 @@ from dynsr.engines import (
 from dynsr.errors import InputError
 from dynsr.expression import compile_numpy
 from dynsr.methods import PAPER_METHODS, AbstractMethod, Library, make_method
+from dynsr.verdict import Score, score_expressions, trajectory_losses
 
 PAPER_NAMES: tuple[str, ...] = tuple(system.name for system in PAPER_SYSTEMS)
 

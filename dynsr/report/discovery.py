@@ -25,17 +25,7 @@ from dynsr.data import (
     is_own_page,
     write_page,
 )
-from dynsr.discovery import (
-    DISCOVERY,
-    Discovery,
-    FreePart,
-    Parameter,
-    StateVerdict,
-    cells_of,
-    name_windows,
-    pair_rows,
-    write_map_mathml,
-)
+from dynsr.discovery import DISCOVERY, Discovery, FreePart, Parameter, cells_of, name_windows
 from dynsr.engines import DEFAULT_ENGINE, FixedPoint
 from dynsr.errors import DynsrError, InputError
 from dynsr.export import Source, list_formats, pack_format
@@ -64,6 +54,7 @@ from dynsr.report.plots import (
     draw_steps,
 )
 from dynsr.report.tables import Table
+from dynsr.verdict import StateVerdict, pair_rows, write_map_mathml
 
 HEIGHT = 220.0
 _HEADINGS = {

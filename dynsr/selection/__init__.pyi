@@ -7,6 +7,7 @@ from .comparison import (
     most_of_noise,
     noise_shown,
 )
+from .conservation import conserve
 from .evidence import Evidence
 from .first_look import Look, look, look_around
 from .hidden import (
@@ -82,6 +83,7 @@ __all__ = [
     "best_subsets",
     "bodies_of",
     "compare_systems",
+    "conserve",
     "different_laws",
     "explains_all",
     "explore",

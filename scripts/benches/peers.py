@@ -114,10 +114,10 @@ def regress(data: Any, seed: int, fit: Callable[[Any, Any, Sequence[str], int], 
     import numpy as np
 
     from dynsr.benchmarks.zoo.scoring import Answer
-    from dynsr.discovery.prediction import predict
     from dynsr.errors import DynsrError
     from dynsr.expression import parse
     from dynsr.fit import r_squared
+    from dynsr.verdict.prediction import predict
 
     best, score = Answer({}, failure="no formula could be read"), -np.inf
     for x, slope in slopes(data):

@@ -20,7 +20,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.discovery.following import open_constants
 from dynsr.expression import differentiate, evaluate, expand_terms, shown, write_line
 from dynsr.fit import (
     DEPENDENT,
@@ -43,6 +42,7 @@ from dynsr.selection import (
     term_bits,
     weighted_sum,
 )
+from dynsr.verdict.following import open_constants
 
 TIME = sympy.Symbol("t")
 # What changes along a record, such as a temperature, is an input that nobody measured.

@@ -11,8 +11,6 @@ import sympy
 from scipy.special import fdtrc
 
 from dynsr.data import Samples, Trajectory, one_step, sample_input
-from dynsr.discovery.following import ENOUGH_ROWS
-from dynsr.discovery.verdict import VERDICT
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import (
     arguments_of,
@@ -24,6 +22,8 @@ from dynsr.expression import (
     to_mathml,
 )
 from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constant
+from dynsr.verdict.following import ENOUGH_ROWS
+from dynsr.verdict.levels import VERDICT
 
 ENGINES = {
     "fit": "none (least squares on one step)",

@@ -15,8 +15,12 @@ import sympy
 from scipy.integrate import cumulative_trapezoid
 
 from dynsr.data import robust_scale
-from dynsr.discovery.alternatives import columns_along
-from dynsr.discovery.drift import (
+from dynsr.expression import evaluate
+from dynsr.fit import DEPENDENT, Flow, Shooting, cauchy_weights, orthogonal, unit_columns
+from dynsr.library import Place
+from dynsr.methods import recalled
+from dynsr.verdict.alternatives import columns_along
+from dynsr.verdict.drift import (
     DRIFT,
     TIME,
     Drift,
@@ -28,11 +32,7 @@ from dynsr.discovery.drift import (
     is_timed,
     say,
 )
-from dynsr.discovery.following import FAR, LEAST_SQUARE, Course, Followed, open_constants
-from dynsr.expression import evaluate
-from dynsr.fit import DEPENDENT, Flow, Shooting, cauchy_weights, orthogonal, unit_columns
-from dynsr.library import Place
-from dynsr.methods import recalled
+from dynsr.verdict.following import FAR, LEAST_SQUARE, Course, Followed, open_constants
 
 # Shares of a step that are tried, and the share by which a fit that goes on becomes better.
 _SHARES, _GAIN = (1.0, 0.5, 0.1), 1e-4

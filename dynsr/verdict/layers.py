@@ -13,9 +13,9 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.prediction import predict
 from dynsr.errors import DynsrError
 from dynsr.expression import expand_terms
+from dynsr.verdict.prediction import predict
 
 # Of longer systems the terms are not tried one by one.
 _MOST_TERMS = 16

@@ -15,7 +15,10 @@ import sympy
 from scipy.optimize import minimize_scalar
 
 from dynsr.data import Samples
-from dynsr.discovery.drift import (
+from dynsr.expression import complexity, evaluate
+from dynsr.fit import refit, simplest_form
+from dynsr.selection import best_subsets
+from dynsr.verdict.drift import (
     DRIFT,
     TIME,
     Drift,
@@ -26,10 +29,7 @@ from dynsr.discovery.drift import (
     waves_in_time,
     with_time,
 )
-from dynsr.discovery.following import ENOUGH_ROWS
-from dynsr.expression import complexity, evaluate
-from dynsr.fit import refit, simplest_form
-from dynsr.selection import best_subsets
+from dynsr.verdict.following import ENOUGH_ROWS
 
 # Every so manieth row shows whether another formula comes near.
 _EVERY = 4

@@ -15,11 +15,18 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples, Trajectory, near_rows_leave_open, scale_of
-from dynsr.discovery.drift import Drift, drift_of_rows, place_among
-from dynsr.discovery.drift_exact import same_in_time
-from dynsr.discovery.following import Place, open_constants
-from dynsr.discovery.maps import chance_of, linearise_constants, pair_rows, products_of
-from dynsr.discovery.verdict import (
+from dynsr.expression import (
+    ByText,
+    compile_numpy,
+    evaluate,
+)
+from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, unit_columns
+from dynsr.library import textbooks
+from dynsr.selection import STOCHASTIC_SEARCH
+from dynsr.verdict.drift import Drift, drift_of_rows, place_among
+from dynsr.verdict.drift_exact import same_in_time
+from dynsr.verdict.following import Place, open_constants
+from dynsr.verdict.levels import (
     APPROXIMATION,
     LAW,
     NOT_FOUND,
@@ -34,14 +41,7 @@ from dynsr.discovery.verdict import (
     percent,
     summarise,
 )
-from dynsr.expression import (
-    ByText,
-    compile_numpy,
-    evaluate,
-)
-from dynsr.fit import DEPENDENT, ParetoFront, constant_bits, structure_bits, unit_columns
-from dynsr.library import textbooks
-from dynsr.selection import STOCHASTIC_SEARCH
+from dynsr.verdict.maps import chance_of, linearise_constants, pair_rows, products_of
 
 # Share of a state's size below which a miss is the rounding of numbers alone.
 _ROUNDING = 1e-11

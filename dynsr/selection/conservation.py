@@ -15,7 +15,7 @@ import sympy
 from dynsr.data import Trajectory, columns_of
 from dynsr.expression import evaluate, expand_terms
 from dynsr.fit import structure_bits
-from dynsr.selection import VANISHES
+from dynsr.selection.relations import VANISHES
 
 # Share of the spread by which a sum that rests may move; largest weight of a state in it.
 _RESTING, _WEIGHT = 1e-7, 4

@@ -16,7 +16,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.discovery.following import LEAST_SQUARE, Course, Followed, Place
 from dynsr.expression import ByText, differentiate, evaluate
 from dynsr.fit import (
     Candidate,
@@ -30,6 +29,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.library import structure_in
+from dynsr.verdict.following import LEAST_SQUARE, Course, Followed, Place
 
 # Longer formulas are no alternatives of shorter ones: what they can do more, the misses tell.
 MORE_CONSTANTS = 2
