@@ -13,13 +13,9 @@ from .discovery import (
     Discovery,
     DiscoverySettings,
     DynsrRegressor,
-    Parameter,
-    Parameters,
-    ParametricSystem,
     TrajectoryRegressor,
     bootstrap,
     discover,
-    identifiability,
     load,
 )
 from .engines import add_noise, find_engine, simulate
@@ -36,6 +32,7 @@ from .methods import (
     make_method,
 )
 from .paper import audit, printed_loss, replicate
+from .parameters import Parameter, Parameters, ParametricSystem, identifiability
 from .verdict import Score, equation_rmse, score_expressions, trajectory_loss
 
 __version__: str

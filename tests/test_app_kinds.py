@@ -13,10 +13,10 @@ from dynsr.app.desk import OF_COLUMNS
 from dynsr.app.fields import in_fields
 from dynsr.app.work import FILES, Work, read_options
 from dynsr.data import Trajectory
-from dynsr.discovery import Delay
 from dynsr.errors import InputError
 from dynsr.expression import parse
 from dynsr.fit import ParetoFront
+from dynsr.parameters import Delay
 
 QUICK = {"preset": "quick", "functions": []}
 

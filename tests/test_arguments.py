@@ -12,8 +12,9 @@ import pytest
 
 import dynsr
 from dynsr.arguments import checked, expected, fits
-from dynsr.discovery import DelaySettings, DiscoverySettings
+from dynsr.discovery import DiscoverySettings
 from dynsr.errors import DynsrError, InputError
+from dynsr.parameters import DelaySettings
 
 ODD = [
     None,

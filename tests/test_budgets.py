@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import dynsr
-from dynsr.discovery import delays, hidden, problem, search, stages, tasks
+from dynsr.discovery import hidden, problem, search, stages, tasks
 from dynsr.jobs import End, TimeUp, finish_by, time_limit
 from dynsr.jobs.budget import uncut
+from dynsr.parameters import delays
 
 T = np.linspace(0, 6, 61)
 EXACT = dynsr.Trajectory(T, np.exp(-0.7 * T)[:, None] + 0.2, ("x",))

@@ -17,13 +17,13 @@ from targets import loaded, need_module, need_tool, run
 
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.parameters import ParametricSystem
 from dynsr.errors import InputError
 from dynsr.export.formats import FORMATS, write_files, write_format
 from dynsr.export.source import Source
 from dynsr.expression.curves import Curve
 from dynsr.expression.export import to_numpy
 from dynsr.expression.parsing import parse
+from dynsr.parameters.parameters import ParametricSystem
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 # Beside the catalogue and the gallery: what these lack.

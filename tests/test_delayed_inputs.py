@@ -14,7 +14,6 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
-from dynsr.discovery.delays import Delay, Delayed, DelaySettings
 from dynsr.fit import (
     DelayedSystem,
     MixedMesh,
@@ -23,6 +22,7 @@ from dynsr.fit import (
     measure_runs,
     skeleton,
 )
+from dynsr.parameters.delays import Delay, Delayed, DelaySettings
 from dynsr.selection import ComparisonSettings
 from tests.command_line import run as call
 

@@ -16,7 +16,6 @@ from scipy.integrate import solve_ivp
 from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery import delayed as delayed_search
 from dynsr.discovery.delayed import _begin, _Begun, search_delayed
-from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow
 from dynsr.discovery.options import Options
 from dynsr.expression import parse
 from dynsr.fit import (
@@ -28,6 +27,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.jobs import TimeUp
+from dynsr.parameters.delays import Delay, Delayed, DelaySettings, follow
 from dynsr.selection import ComparisonSettings
 from dynsr.verdict.levels import StateVerdict, Verdict
 from tests.command_line import run

@@ -14,10 +14,11 @@ from command_line import run
 
 from dynsr.cli.results import flatten
 from dynsr.data.system import LOTKA_VOLTERRA
-from dynsr.discovery import Discovery, FreeParts, RunParameters
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.paper.protocol import paper_method
+from dynsr.parameters import FreeParts, RunParameters
 
 T = np.linspace(0.0, 3.0, 151)
 

@@ -13,10 +13,11 @@ from targets import loaded, need_module, need_tool, run
 
 import dynsr
 from dynsr.data import Trajectory
-from dynsr.discovery import Delay, Discovery, keep
+from dynsr.discovery import Discovery, keep
 from dynsr.errors import InputError
 from dynsr.export import FORMATS, Source, make_casadi, make_control, make_do_mpc
 from dynsr.expression import parse
+from dynsr.parameters import Delay
 
 END = 4.0
 T = np.linspace(0.0, END, 9)

@@ -17,13 +17,13 @@ from dynsr import read_petab
 from dynsr.data.reading import write_csv
 from dynsr.data.system import System
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.parameters import ParametricSystem
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.export.formats import FORMATS, write_files, write_format
 from dynsr.export.source import Source
 from dynsr.expression.export import to_numpy
 from dynsr.expression.parsing import parse
+from dynsr.parameters.parameters import ParametricSystem
 
 
 def last(name):

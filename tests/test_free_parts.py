@@ -14,7 +14,6 @@ from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline
 
 from dynsr import Discovery, DiscoverySettings, InputError, Trajectory, discover, load
-from dynsr.discovery import FreePart, FreeParts, FreeSettings
 from dynsr.discovery.free_model import finish_model, has_free, read_model
 from dynsr.expression import (
     Curve,
@@ -36,6 +35,7 @@ from dynsr.fit import (
     measure_runs,
 )
 from dynsr.fit.curved import place_knots
+from dynsr.parameters import FreePart, FreeParts, FreeSettings
 from tests.command_line import run
 
 X, Y = sympy.symbols("x y")

@@ -16,12 +16,12 @@ pytest.importorskip("yaml", reason="PyYAML is not installed")
 import dynsr
 from dynsr import read_petab, read_sbml
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.parameters import ParametricSystem
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
 from dynsr.export.formats import write_format
 from dynsr.export.source import Source
 from dynsr.expression.export import to_numpy
+from dynsr.parameters.parameters import ParametricSystem
 
 HEAD = '<sbml xmlns="http://www.sbml.org/sbml/level3/version1/core" level="3" version="1">'
 MATH = '<math xmlns="http://www.w3.org/1998/Math/MathML">'

@@ -7,12 +7,12 @@ import sympy
 
 from dynsr.data.system import LORENZ, SIR, System
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.parameters import ParametricSystem, name_constants
 from dynsr.discovery.result import Discovery
 from dynsr.engines.simulation import simulate
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import ParetoFront
+from dynsr.parameters.parameters import ParametricSystem, name_constants
 
 X, Y = sympy.symbols("x y")
 

@@ -6,8 +6,8 @@ import pytest
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery import Profile
 from dynsr.expression import parse
+from dynsr.parameters import Profile
 from dynsr.report import plots
 
 T = np.linspace(0.0, 5.0, 60)

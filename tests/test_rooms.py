@@ -32,6 +32,7 @@ ROOMS = (
     "selection",
     "jobs",
     "verdict",
+    "parameters",
     "discovery",
     "export",
     "report",
@@ -48,10 +49,10 @@ FILES_ALONE = ("errors", "arguments")
 # (file, room it takes from against the order) -> why. A line that nothing needs fails.
 EXCEPTIONS = {
     ("discovery/result.py", "report"): "Discovery.plot and .report are the result's own verbs",
-    ("discovery/profile.py", "report"): "Profile.plot is the profile's own verb",
-    ("discovery/by_run.py", "report"): "RunParameters.plot is the table's own verb",
-    ("discovery/free_parts.py", "report"): "FreePart.plot is the function's own verb",
-    ("discovery/suggesting.py", "report"): "Suggestion.plot is the suggestion's own verb",
+    ("parameters/profile.py", "report"): "Profile.plot is the profile's own verb",
+    ("parameters/by_run.py", "report"): "RunParameters.plot is the table's own verb",
+    ("parameters/free_parts.py", "report"): "FreePart.plot is the function's own verb",
+    ("parameters/suggesting.py", "report"): "Suggestion.plot is the suggestion's own verb",
     ("engines/equilibria.py", "report"): "Branches.plot is the branches' own verb",
     ("discovery/batch.py", "report"): "a batch leaves a page of its files",
     ("discovery/result.py", "export"): "Discovery.export is the result's own verb",
@@ -59,6 +60,13 @@ EXCEPTIONS = {
 
 # Room -> names that were exported by discovery.
 MOVED = {
+    "parameters": [
+        *("Alternative", "Cells", "Constant", "Delay", "DelaySettings", "Diffusion"),
+        *("DiffusionTerm", "Experiment", "FreePart", "FreeParts", "FreeSettings"),
+        *("Identifiability", "IdentifiabilitySettings", "Parameter", "Parameters"),
+        *("ParametricSystem", "Profile", "RunParameters", "Suggestion", "SuggestionSettings"),
+        *("VarySettings", "cells_of", "identifiability", "write_interval"),
+    ],
     "verdict": [
         *("OtherFormula", "Score", "StateVerdict", "TermCertainty", "Verdict", "VerdictSettings"),
         *("equation_rmse", "iterate", "pair_rows", "predict", "score_expressions"),

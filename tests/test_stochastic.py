@@ -8,9 +8,10 @@ from scipy.stats import binom, multivariate_normal
 
 import dynsr
 from dynsr.data import Trajectory, measure_motion_noise, write_csv
-from dynsr.discovery import Diffusion, DiffusionTerm, Discovery, cells_of
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
 from dynsr.fit import Series, StochasticSystem, interval_reach
+from dynsr.parameters import Diffusion, DiffusionTerm, cells_of
 
 X, Y = sympy.symbols("x y")
 RATE, LEVEL = 1.2, 0.5

@@ -12,8 +12,9 @@ from scipy.optimize import least_squares
 from test_profile_likelihood import enzyme, found_in, noisy_rabbits, solved
 
 import dynsr
-from dynsr.discovery import Discovery, SuggestionSettings
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
+from dynsr.parameters import SuggestionSettings
 from dynsr.verdict import Verdict
 
 GROWTH, RELAXED = "x - 0.1*x**2", "9 - 0.9*x"

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
-from dynsr.discovery import RunParameters
 from dynsr.jobs import FolderTaken
+from dynsr.parameters import RunParameters
 from dynsr.verdict.flow_verdict import give_verdict
 from tests.command_line import run
 

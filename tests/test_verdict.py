@@ -7,7 +7,6 @@ import sympy
 from command_line import run
 
 from dynsr.data.trajectory import Trajectory
-from dynsr.discovery.intervals import list_constants
 from dynsr.discovery.orders import Form
 from dynsr.discovery.problem import DISCOVERY, Problem
 from dynsr.discovery.result import Discovery
@@ -20,6 +19,7 @@ from dynsr.fit.candidates import Candidate, ParetoFront
 from dynsr.jobs.budget import Budget
 from dynsr.methods.demands import read_demands
 from dynsr.methods.rational import RationalSearch
+from dynsr.parameters.intervals import list_constants
 from dynsr.verdict.flow_verdict import give_verdict
 from dynsr.verdict.following import open_constants
 from dynsr.verdict.levels import explain

@@ -311,7 +311,7 @@ def suggest(
     If other formulas explain the data nearly as well, it is the start where their forecasts differ
     most. Otherwise it is the start that determines the constants best. The information is in bits.
     """
-    from dynsr.discovery import SuggestionSettings
+    from dynsr.parameters import SuggestionSettings
 
     found = load_discovery(model)
     how = (trajectory, hold, quantity, decimal, missing, _say_to(json))

@@ -15,7 +15,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.delays import Delayed, DelayFit, leaves_only_noise
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery
@@ -23,6 +22,7 @@ from dynsr.errors import InputError
 from dynsr.expression import shown
 from dynsr.fit import skeleton, tidy
 from dynsr.jobs import Budget, finish_by
+from dynsr.parameters import Delayed, DelayFit, leaves_only_noise
 from dynsr.selection import ComparisonSettings
 from dynsr.verdict import (
     LAW,

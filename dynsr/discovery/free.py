@@ -21,11 +21,8 @@ from scipy.special import chdtri
 from dynsr.data import Samples, Trajectory, carry
 from dynsr.discovery.asked import choose_targets
 from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
-from dynsr.discovery.free_parts import FreePart, FreeParts, FreeSettings
 from dynsr.discovery.hidden import record_search
-from dynsr.discovery.intervals import take_apart
 from dynsr.discovery.options import Options, Search
-from dynsr.discovery.parameters import Parameter, Parameters, ParametricSystem, find_names, fits
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.engines import find_engine
@@ -61,6 +58,17 @@ from dynsr.fit import (
 )
 from dynsr.jobs import Budget, Step
 from dynsr.methods import Limits, make_method, read_demands
+from dynsr.parameters import (
+    FreePart,
+    FreeParts,
+    FreeSettings,
+    Parameter,
+    Parameters,
+    ParametricSystem,
+    find_names,
+    fits,
+    take_apart,
+)
 from dynsr.selection import SystemComparison, look
 from dynsr.verdict import (
     APPROXIMATION,

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.discovery.free_parts import FREE, FreeSettings
 from dynsr.errors import InputError
 from dynsr.expression import FUNCTIONS, check_name, compile_columns, parse, unknown_calls
 from dynsr.fit import Part
+from dynsr.parameters import FREE, FreeSettings
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ import sympy
 from dynsr import __version__
 from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
-from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.options import Options
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
@@ -34,6 +33,7 @@ from dynsr.fit import (
 )
 from dynsr.jobs import Budget, RunFolder, Turns, collect_by, fingerprint, to_plain
 from dynsr.methods import AUTO, Demands, choose_methods, read_demands
+from dynsr.parameters import match_constants
 from dynsr.selection import (
     ComparisonSettings,
     Coupling,

@@ -23,14 +23,11 @@ from dynsr.data import (
 from dynsr.discovery.asking import (
     Shares,
 )
-from dynsr.discovery.delays import DelaySettings
-from dynsr.discovery.free_parts import FREE, FreeSettings
 from dynsr.discovery.orders import Form, explain_velocity
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
-from dynsr.discovery.varying import VarySettings
 from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
 from dynsr.fit import (
     Candidate,
@@ -67,6 +64,7 @@ from dynsr.library import structure_in
 from dynsr.methods import (
     Demands,
 )
+from dynsr.parameters import FREE, DelaySettings, FreeSettings, VarySettings
 from dynsr.selection import (
     HIDDEN,
     STOCHASTIC_SEARCH,

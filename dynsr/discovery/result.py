@@ -40,36 +40,8 @@ from dynsr.data import (
     write_kept,
     write_own,
 )
-from dynsr.discovery.by_run import RunParameters
-from dynsr.discovery.delays import Delay, Delayed, DelaySettings, follow, put_off, read_history
-from dynsr.discovery.diffusion import (
-    Diffusion,
-    as_trajectories,
-    draw_paths,
-    measure_steps,
-    score_steps,
-)
-from dynsr.discovery.free_parts import FreeParts, refuse_curves
-from dynsr.discovery.identifying import Identifiability, identify, with_data
-from dynsr.discovery.intervals import Constant, list_constants, put_constants
 from dynsr.discovery.orders import form_of, write_lines
-from dynsr.discovery.parameters import (
-    Parameter,
-    Parameters,
-    ParametricSystem,
-    check_values,
-    find_names,
-    fits,
-    list_parameters,
-    name_by_role,
-    name_constants,
-    put_names,
-    put_values,
-    rename,
-)
-from dynsr.discovery.profile import Ends, Profile, Profiles, read_constant
 from dynsr.discovery.records import FORMAT, RECORD, read_discovery, write_discovery
-from dynsr.discovery.suggesting import SUGGESTION, Suggestion, SuggestionSettings, suggest
 from dynsr.discovery.summary import DataSummary, summarise
 from dynsr.discovery.unmeasured import (
     coupling_of,
@@ -78,7 +50,6 @@ from dynsr.discovery.unmeasured import (
     fit_starts,
     refuse_hidden,
 )
-from dynsr.discovery.varying import Law, Study, VarySettings, write_answer
 from dynsr.engines import (
     DEFAULT_ENGINE,
     AbstractEngine,
@@ -125,6 +96,52 @@ from dynsr.fit import (
     score_candidate,
 )
 from dynsr.jobs import RecordError, check_seed, from_plain, read_json, to_plain
+from dynsr.parameters import (
+    SUGGESTION,
+    Constant,
+    Delay,
+    Delayed,
+    DelaySettings,
+    Diffusion,
+    Ends,
+    FreeParts,
+    Identifiability,
+    Law,
+    Parameter,
+    Parameters,
+    ParametricSystem,
+    Profile,
+    Profiles,
+    RunParameters,
+    Study,
+    Suggestion,
+    SuggestionSettings,
+    VarySettings,
+    as_trajectories,
+    check_values,
+    draw_paths,
+    find_names,
+    fits,
+    follow,
+    identify,
+    list_constants,
+    list_parameters,
+    measure_steps,
+    name_by_role,
+    name_constants,
+    put_constants,
+    put_names,
+    put_off,
+    put_values,
+    read_constant,
+    read_history,
+    refuse_curves,
+    rename,
+    score_steps,
+    suggest,
+    with_data,
+    write_answer,
+)
 from dynsr.selection import ComparisonSettings, forecast_error
 from dynsr.verdict import (
     MORE_CONSTANTS,
@@ -1141,7 +1158,7 @@ class Discovery:
         Raises InputError when the equations have no such noise or something is missing, EngineError
         when a path leaves the finite numbers.
 
-        >>> from dynsr.discovery.diffusion import DiffusionTerm
+        >>> from dynsr.parameters.diffusion import DiffusionTerm
         >>> noise = {"x": Diffusion((DiffusionTerm("1", 0.5),), ("x",))}
         >>> x = sympy.Symbol("x")
         >>> found = Discovery({"x": -2 * x}, {"x": ()}, {}, {}, diffusion=noise)
@@ -1506,7 +1523,7 @@ class Discovery:
         ``trajectory_rmse`` the error of one integration from the first row to the last (inf when
         it diverges). Inputs are those of the data: a column of the data goes before the expression
         of the discovery. A map is scored by :func:`dynsr.verdict.maps.score_map`, and steps with
-        noise in the motion by :func:`dynsr.discovery.diffusion.score_steps`.
+        noise in the motion by :func:`dynsr.parameters.diffusion.score_steps`.
 
         Parameters
         ----------

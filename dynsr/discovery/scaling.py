@@ -14,9 +14,7 @@ import sympy
 from dynsr.data import Trajectory
 from dynsr.discovery.every_row import are_apart
 from dynsr.discovery.hidden import search_hidden
-from dynsr.discovery.intervals import printed_order
 from dynsr.discovery.options import Options, Search
-from dynsr.discovery.profile import Ends
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
 from dynsr.discovery.stochastic import search_stochastic
@@ -24,6 +22,7 @@ from dynsr.discovery.unmeasured import coupling_of
 from dynsr.errors import InputError
 from dynsr.expression import expand_terms, parse
 from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
+from dynsr.parameters import Ends, printed_order
 from dynsr.verdict import OtherFormula, Verdict
 
 # Columns and spans of sizes up to this one, and down to one over it, are searched as they are.

@@ -9,13 +9,13 @@ from pathlib import Path
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.free_parts import refuse_curves
 from dynsr.discovery.orders import Form
 from dynsr.discovery.records import RECORD
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError, quoted
 from dynsr.expression import parse, to_text
 from dynsr.jobs import fingerprint
+from dynsr.parameters import refuse_curves
 
 SOURCE = "the earlier discovery"
 

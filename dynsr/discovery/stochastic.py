@@ -17,9 +17,7 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.data import Trajectory
-from dynsr.discovery.diffusion import Diffusion, DiffusionTerm, log_interval
 from dynsr.discovery.hidden import claim_folder, record_search
-from dynsr.discovery.intervals import match_constants
 from dynsr.discovery.options import Options
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
@@ -38,6 +36,7 @@ from dynsr.fit import (
 )
 from dynsr.jobs import Budget, Turns, collect_by
 from dynsr.methods import AUTO, choose_methods, read_demands
+from dynsr.parameters import Diffusion, DiffusionTerm, log_interval, match_constants
 from dynsr.selection import (
     StochasticFound,
     StochasticSearch,

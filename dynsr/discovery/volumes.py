@@ -19,9 +19,9 @@ import sympy
 from scipy.optimize import approx_fprime, least_squares
 
 from dynsr.data import Dosing, Trajectory, split_volume
-from dynsr.discovery.parameters import Parameter
 from dynsr.discovery.result import Discovery
 from dynsr.errors import EngineError, InputError
+from dynsr.parameters import Parameter
 from dynsr.verdict import Measured, predict_with_doses
 
 

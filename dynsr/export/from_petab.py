@@ -16,9 +16,9 @@ import numpy as np
 
 from dynsr.arguments import checked
 from dynsr.data import Trajectory
-from dynsr.discovery import Parameters, ParametricSystem
 from dynsr.errors import InputError, need
 from dynsr.export.from_sbml import read_model, read_sbml
+from dynsr.parameters import Parameters, ParametricSystem
 
 _VERSIONS = (1, "1")
 

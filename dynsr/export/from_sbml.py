@@ -17,10 +17,10 @@ from typing import Any
 import sympy
 
 from dynsr.arguments import checked
-from dynsr.discovery import Parameter, Parameters, ParametricSystem
 from dynsr.errors import InputError, MissingExtra, need, one_line
 from dynsr.export.sbml_units import named_unit, read_names, read_unit
 from dynsr.expression import check_name, parse
+from dynsr.parameters import Parameter, Parameters, ParametricSystem
 
 _TIME = sympy.Symbol("t")
 # Assignments that stand in one another deeper than this go round in a circle.

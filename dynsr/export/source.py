@@ -13,7 +13,7 @@ import sympy
 
 from dynsr import __version__
 from dynsr.data import System, Trajectory
-from dynsr.discovery import Delay, Discovery, Parameters, ParametricSystem, write_interval
+from dynsr.discovery import Discovery
 from dynsr.errors import InputError
 from dynsr.expression import (
     call_names,
@@ -23,6 +23,7 @@ from dynsr.expression import (
     write_line,
     write_out,
 )
+from dynsr.parameters import Delay, Parameters, ParametricSystem, write_interval
 
 _TEXT = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'")
 _IDENTIFIER = re.compile(r"(?<![.\w])[^\W\d]\w*")

@@ -65,7 +65,7 @@ class CurvedSettings:
     faint: float = 1e-5
 
 
-CURVED = CurvedSettings()
+CURVED: CurvedSettings = CurvedSettings()
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from dynsr.data import (
     is_own_page,
     write_page,
 )
-from dynsr.discovery import DISCOVERY, Discovery, FreePart, Parameter, cells_of, name_windows
+from dynsr.discovery import DISCOVERY, Discovery, name_windows
 from dynsr.engines import DEFAULT_ENGINE, FixedPoint
 from dynsr.errors import DynsrError, InputError
 from dynsr.export import Source, list_formats, pack_format
@@ -42,6 +42,7 @@ from dynsr.expression import (
 from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
 from dynsr.jobs import finish_by, to_plain
 from dynsr.methods import choose_methods
+from dynsr.parameters import FreePart, Parameter, cells_of
 from dynsr.report.page import Picture, render_page
 from dynsr.report.plots import (
     MOST_DOTS,

@@ -25,9 +25,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery import Cells, FreePart, Profile, RunParameters, Suggestion
 from dynsr.engines import Branches, FixedPoint
 from dynsr.expression import compile_numpy
+from dynsr.parameters import Cells, FreePart, Profile, RunParameters, Suggestion
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))

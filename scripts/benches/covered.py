@@ -21,12 +21,12 @@ from joblib import Parallel, delayed
 from scipy.integrate import solve_ivp
 
 from dynsr.data import KnownNoise, Limits, Trajectory, carry, read_sums
-from dynsr.discovery.delays import Delayed, DelaySettings
 from dynsr.discovery.unmeasured import number_runs
 from dynsr.expression import compile_numpy, parse
 from dynsr.fit import Measurements, Series, StochasticSystem, fit_along
 from dynsr.fit.constants import free_constants
 from dynsr.fit.whole import interval_reach
+from dynsr.parameters.delays import Delayed, DelaySettings
 from dynsr.selection import ComparisonSettings, Coupling
 from dynsr.selection.hidden import first_curve
 

@@ -11,10 +11,10 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.intervals import write_interval
 from dynsr.errors import EngineError
 from dynsr.expression import compile_columns, evaluate, parse, shown
 from dynsr.fit import Driven, Series, StochasticFit, StochasticSystem
+from dynsr.parameters.intervals import write_interval
 
 
 @dataclass(frozen=True)

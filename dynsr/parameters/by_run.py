@@ -8,8 +8,8 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from dynsr.arguments import checked
-from dynsr.discovery.parameters import Parameter, as_html, in_columns
 from dynsr.errors import InputError
+from dynsr.parameters.parameters import Parameter, as_html, in_columns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,16 +17,16 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.data import System
-from dynsr.discovery.intervals import (
+from dynsr.errors import InputError, quoted, say_near
+from dynsr.expression import check_name, slope_latex, to_latex_formula, write_line
+from dynsr.fit import ROUNDING, pairs_alike
+from dynsr.parameters.intervals import (
     Constant,
     list_constants,
     printed_order,
     take_apart,
     write_interval,
 )
-from dynsr.errors import InputError, quoted, say_near
-from dynsr.expression import check_name, slope_latex, to_latex_formula, write_line
-from dynsr.fit import ROUNDING, pairs_alike
 
 if TYPE_CHECKING:
     import pandas as pd

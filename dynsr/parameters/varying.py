@@ -20,9 +20,6 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from dynsr.data import FEWEST_SMOOTH, Trajectory
-from dynsr.discovery.by_run import RunParameters
-from dynsr.discovery.intervals import printed_order, take_apart
-from dynsr.discovery.parameters import Parameter, name_constants, put_names
 from dynsr.errors import InputError
 from dynsr.expression import evaluate, marks, shown
 from dynsr.fit import (
@@ -38,6 +35,9 @@ from dynsr.fit import (
     tidy,
 )
 from dynsr.library import Form, Library, LibrarySettings
+from dynsr.parameters.by_run import RunParameters
+from dynsr.parameters.intervals import printed_order, take_apart
+from dynsr.parameters.parameters import Parameter, name_constants, put_names
 from dynsr.selection import ComparisonSettings, SystemComparison
 
 Equations = Mapping[str, sympy.Expr]

@@ -13,10 +13,10 @@ import numpy as np
 import sympy
 
 from dynsr.arguments import checked
-from dynsr.discovery.parameters import Parameter
 from dynsr.errors import InputError
 from dynsr.expression import Curve, check_name, evaluate, parse, shown
 from dynsr.fit import CURVED, CurvedSettings
+from dynsr.parameters.parameters import Parameter
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,8 +22,6 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from dynsr.data import Hold, SmoothedTrajectory, Trajectory
-from dynsr.discovery.intervals import take_apart, write_interval
-from dynsr.discovery.parameters import name_constants, put_names
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, Drive
 from dynsr.errors import EngineError, InputError
 from dynsr.expression import parse
@@ -42,6 +40,8 @@ from dynsr.fit import (
     skeleton,
 )
 from dynsr.library import Form, Library, LibrarySettings, Written
+from dynsr.parameters.intervals import take_apart, write_interval
+from dynsr.parameters.parameters import name_constants, put_names
 from dynsr.selection import (
     ComparisonSettings,
     Evidence,

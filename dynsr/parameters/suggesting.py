@@ -18,7 +18,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import Trajectory
-from dynsr.discovery.parameters import in_columns
 from dynsr.engines import Drive
 from dynsr.errors import InputError
 from dynsr.expression import bare_term, expand_terms, ratio_forms, shown
@@ -38,6 +37,7 @@ from dynsr.fit import (
     tidy,
     with_floats,
 )
+from dynsr.parameters.parameters import in_columns
 from dynsr.verdict import count_constants
 
 if TYPE_CHECKING:

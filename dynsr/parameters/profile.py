@@ -11,7 +11,6 @@ import numpy as np
 import sympy
 
 from dynsr.data import FEWEST_SMOOTH, Trajectory
-from dynsr.discovery.intervals import home_of, printed_places, take_apart, write_interval
 from dynsr.errors import InputError
 from dynsr.fit import (
     AlongFit,
@@ -22,6 +21,7 @@ from dynsr.fit import (
     free_constants,
     loosen_all,
 )
+from dynsr.parameters.intervals import home_of, printed_places, take_apart, write_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
