@@ -12,16 +12,15 @@ import numpy as np
 
 from dynsr import __version__
 from dynsr.data import Trajectory
-from dynsr.discovery.hidden import record_search
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.records import say_data
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, to_text
+from dynsr.expression import to_text
 from dynsr.fit import ParetoFront, read_inputs
 from dynsr.jobs import RunFolder, fingerprint, to_plain
-from dynsr.verdict import LAW, LEVELS, name_engines, record_hold
+from dynsr.verdict import LAW, name_engines
 
 Asked = bool | tuple[str, ...]
 
@@ -94,12 +93,12 @@ def _claim(runs: Sequence[Trajectory], options: Options, asked: Asked) -> None:
         "data": say_data(runs),
     }
     key = fingerprint(repr(to_plain(own)))
-    RunFolder(_inside(options, "")).claim("discovery", about, key)
+    RunFolder(options.folder).claim("discovery", about, key)
 
 
 def _inside(options: Options, name: str) -> Path | None:
     """Give a subfolder of the folder that was asked for; None where none was."""
-    return None if options.out is None else Path(options.out).absolute() / name
+    return None if options.folder is None else options.folder / name
 
 
 def _search_apart(
@@ -136,7 +135,7 @@ def _search_apart(
         return together
     again = _vary([*alone, together], runs, asked)
     better = [found for found in (varied, again) if found is not None and found.by_run.runs]
-    return min([*better, together], key=lambda found: LEVELS.index(found.verdict.level))
+    return min([*better, together], key=lambda found: found.verdict.rank)
 
 
 def _as_known(runs: Sequence[Trajectory], options: Options) -> Discovery | None:
@@ -146,13 +145,11 @@ def _as_known(runs: Sequence[Trajectory], options: Options) -> Discovery | None:
     if set(equations) != set(run.states) or not options.first_order:
         return None
     engine = find_engine(options.engine)
-    measured = bool(set(arguments_of(equations)) - set(inputs))
     record = {
-        **record_search("known", options),
-        **record_hold(run, inputs, False, options.hold),
+        **options.record("known", run),
         "known": {s: to_text(e) for s, e in equations.items()},
         "engine": engine.name,
-        "engines": name_engines([], engine, measured, along=True),
+        "engines": name_engines([], engine, equations, inputs, along=True),
     }
     nothing = {s: ParetoFront() for s in equations}
     return Discovery(equations, {}, nothing, {}, tuple(runs), inputs, record, engine=engine)

@@ -17,7 +17,7 @@ import sympy
 from dynsr.data import Trajectory
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DISCOVERY
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, ended_early
 from dynsr.errors import InputError
 from dynsr.expression import shown
 from dynsr.fit import skeleton, tidy
@@ -26,14 +26,12 @@ from dynsr.parameters import Delayed, DelayFit, leaves_only_noise
 from dynsr.selection import ComparisonSettings
 from dynsr.verdict import (
     LAW,
-    LEVELS,
     NOBODY,
     NOT_FOUND,
-    doubt,
+    doubt_laws,
     explain,
     give_verdict,
     is_probable,
-    summarise,
 )
 
 # Share of the variance of the states that equations explain with their own delayed states.
@@ -144,22 +142,11 @@ def search_delayed(
             break
     if not answers or not (needs_none or answers[-1].delays or budget.is_over):
         answers.append(search(runs, replace(options, time_budget=budget.rest())))
-    best = min(answers, key=_rank)
-    best = _ended_early(best) if late else best
+    best = min(answers, key=lambda found: found.verdict.rank)
+    if late:
+        said = "" if best.delays else " The time budget ended the search for delays; give more."
+        best = ended_early(best, ["delays"], said)
     return replace(best, seconds=monotonic() - began)
-
-
-def _ended_early(found: Discovery) -> Discovery:
-    """Say that the search for delays was ended, which found none or one."""
-    ended = [*found.settings.get("ended_by_budget", ()), "delays"]
-    said = "" if found.delays else " The time budget ended the search for delays; give more."
-    words = {state: why + said for state, why in found.explanation.items()}
-    return replace(found, explanation=words, settings={**found.settings, "ended_by_budget": ended})
-
-
-def _rank(found: Discovery) -> int:
-    """The better verdict is first; one that was not made is last."""
-    return LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
 
 
 @dataclass(frozen=True)
@@ -222,8 +209,7 @@ class _Study:
             f"with a delay of {closest.delay:.4g}" if closest.has_delay else "without a delay"
         )
         why = f"the data cannot distinguish it from {text} {with_delay}."
-        states = {s: doubt(own, why) for s, own in verdict.states.items()}
-        return replace(found, verdict=summarise(states, verdict.span))
+        return replace(found, verdict=doubt_laws(verdict, dict.fromkeys(verdict.states, why)))
 
     def unfitted(self, first: _Begun, found: Discovery) -> Discovery:
         """Give what was found with a delay that is not fitted, without a verdict."""

@@ -23,7 +23,7 @@ from dynsr.data import (
     estimate_noise,
 )
 from dynsr.discovery.problem import DiscoverySettings
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, with_words
 from dynsr.expression import differentiate, evaluate
 from dynsr.fit import (
     FitSettings,
@@ -114,7 +114,7 @@ def on_every_row(
         fit = None
     if fit is None:
         record["fitted"] = False
-        return _say(found, record, f"{said}; the constants are those of the windows.")
+        return with_words(found, f"{said}; the constants are those of the windows.", windows=record)
     differing = fit.differing(settings.selection.fit.joint)
     record |= {
         "fitted": True,
@@ -124,9 +124,11 @@ def on_every_row(
     if differing:
         where = _name(differing, len(runs))
         found = replace(found, verdict=_doubt(found.verdict, where))
-        return _say(found, record, f"{said}; it does not hold in all of them: {where}.")
+        return with_words(
+            found, f"{said}; it does not hold in all of them: {where}.", windows=record
+        )
     found = _with_constants(found, fit, settings.selection.fit)
-    return _say(found, record, f"{said}, and fitted to all of them, which agree.")
+    return with_words(found, f"{said}, and fitted to all of them, which agree.", windows=record)
 
 
 def name_windows(settings: Mapping[str, Any]) -> str:
@@ -238,8 +240,3 @@ def _name(places: Sequence[tuple[int, int, int]], runs: int) -> str:
     ]
     more = len(places) - 3
     return ", ".join(words) + (f" and {more} more" if more > 0 else "")
-
-
-def _say(found: Discovery, record: Mapping[str, Any], words: str) -> Discovery:
-    said = {s: why + words for s, why in found.explanation.items()}
-    return replace(found, explanation=said, settings={**found.settings, "windows": dict(record)})

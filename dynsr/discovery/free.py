@@ -21,13 +21,12 @@ from scipy.special import chdtri
 from dynsr.data import Samples, Trajectory, carry
 from dynsr.discovery.asked import choose_targets
 from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
-from dynsr.discovery.hidden import record_search
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, evaluate, shown, to_text
+from dynsr.expression import evaluate, shown, to_text
 from dynsr.fit import (
     CurvedFit,
     CurvedSettings,
@@ -57,7 +56,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.jobs import Budget, Step
-from dynsr.methods import Limits, make_method, read_demands
+from dynsr.methods import Limits, make_method
 from dynsr.parameters import (
     FreePart,
     FreeParts,
@@ -71,16 +70,13 @@ from dynsr.parameters import (
 )
 from dynsr.selection import SystemComparison, look
 from dynsr.verdict import (
-    APPROXIMATION,
-    LAW,
     NOBODY,
     NOT_FOUND,
     Verdict,
+    doubt_laws,
     explain,
     give_verdict,
     name_engines,
-    record_hold,
-    summarise,
 )
 
 # Options of a search that have no meaning where all but some functions is known.
@@ -485,12 +481,7 @@ def search_free(
     began, details = monotonic(), options.details
     run, known, inputs = runs[0], dict(options.known or {}), options.drives
     model = read_model(known, run.states, (*run.names, "t"))
-    demands = read_demands(
-        run.states,
-        run.names,
-        functions=options.functions,
-        max_complexity=options.max_complexity,
-    )
+    demands = options.demands(run.states, run.names)
     budget, seed = Budget(options.time_budget), options.seed
     limits = demands.limits(next(iter(model.equations)))
     until = budget.until(details.shares.choices)
@@ -527,8 +518,7 @@ def search_free(
     engine = find_engine(options.engine)
     record: dict[str, Any] = {
         **demands.as_record(),
-        **record_search("free", options),
-        **record_hold(run, inputs, False, options.hold),
+        **options.record("free", run),
         **({"ended_by_budget": ["free functions"]} if study.late else {}),
         "known": {s: to_text(e) if isinstance(e, sympy.Expr) else str(e) for s, e in known.items()},
         "methods": ["free", *(others.settings["methods"] if others else ())],
@@ -537,8 +527,7 @@ def search_free(
     given = tuple(model.equations)
     found = _as_discovery(study, curved, loose, answer, numbers, others, given, runs, inputs)
     found = _tested(found, study, answer, details) if complete else replace(found, complete=False)
-    measured = bool(set(arguments_of(found.equations)) - set(inputs))
-    record["engines"] = name_engines([], engine, measured, True, False)
+    record["engines"] = name_engines([], engine, found.equations, inputs, along=True)
     found = replace(found, settings=record, engine=engine, seconds=monotonic() - began)
     keep_if_asked(found, options.out)
     return found
@@ -800,21 +789,13 @@ def _tested(
 
 def _with_curves(verdict: Verdict, model: FreeModel, free: FreeParts) -> Verdict:
     """Take for an approximation what was a law but for its curves."""
-    states = dict(verdict.states)
+    doubts = {}
     for state in model.equations:
-        own, names = (
-            states[state],
-            [
-                f"{p.name}({p.of})"
-                for p in model.parts
-                if model.contains(state, p) and free[p.name].is_curve
-            ],
-        )
-        if own.level == LAW and names:
-            said = f"but {' and '.join(names)} {'is a curve' if len(names) == 1 else 'are curves'}"
-            reason = f"{own.reason.removesuffix('.')}, {said} and no formula."
-            states[state] = replace(own, level=APPROXIMATION, reason=reason)
-    return verdict if states == verdict.states else summarise(states, verdict.span)
+        parts = [p for p in model.parts if model.contains(state, p) and free[p.name].is_curve]
+        if names := " and ".join(f"{part.name}({part.of})" for part in parts):
+            are = "is a curve" if len(parts) == 1 else "are curves"
+            doubts[state] = f"{names} {are} and no formula."
+    return doubt_laws(verdict, doubts)
 
 
 def _said(study: _Study, state: str, free: FreeParts) -> str:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from time import monotonic
-from typing import Any
 
 import numpy as np
 import sympy
 
-from dynsr import __version__
 from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
 from dynsr.discovery.options import Options
@@ -20,7 +17,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import arguments_of, check_name, to_text
+from dynsr.expression import check_name, to_text
 from dynsr.fit import (
     AlongFit,
     Measurements,
@@ -31,8 +28,8 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.jobs import Budget, RunFolder, Turns, collect_by, fingerprint, to_plain
-from dynsr.methods import AUTO, Demands, choose_methods, read_demands
+from dynsr.jobs import Budget, Turns, collect_by
+from dynsr.methods import AUTO, Demands, choose_methods
 from dynsr.parameters import match_constants
 from dynsr.selection import (
     ComparisonSettings,
@@ -44,7 +41,7 @@ from dynsr.selection import (
     find_hidden,
     find_without,
 )
-from dynsr.verdict import NOBODY, explain, give_verdict, name_engines, record_hold
+from dynsr.verdict import NOBODY, explain, give_verdict, name_engines
 
 _NAME = "hidden"
 # Options of a search that have no meaning where one state was not measured.
@@ -62,7 +59,6 @@ _REFUSED = (
     "loss",
     "start",
 )
-_DEMANDS = ("functions", "max_complexity", "terms", "must", "constraints", "nonnegative")
 
 
 def check_hidden(runs: Sequence[Trajectory], options: Options) -> str:
@@ -106,18 +102,17 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
     """
     began, details, inputs = monotonic(), options.details, options.drives
     states, names = (*runs[0].states, name), (*runs[0].names, name)
-    demands = read_demands(states, names, **{n: getattr(options, n) for n in _DEMANDS})
+    demands = options.demands(states, names)
     _check_terms(demands, name)
     selection = settle(details.selection, demands)
     runs = number_runs(carry(runs))
     engine = find_engine(options.engine)
     record = {
         **demands.as_record(),
-        **record_search(_NAME, options),
-        **record_hold(runs[0], inputs, False, options.hold),
+        **options.record(_NAME, runs[0]),
         "engine": engine.name,
     }
-    claim_folder(options.out, {_NAME: name}, record, runs, inputs)
+    options.claim(record, runs, {_NAME: name})
     every: list[HiddenFit] = []
     alone: list[SystemFit | None] = []
 
@@ -143,10 +138,9 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
         return None
     deciding = replace(details, selection=selection)
     found = _discover(best, every, alone[0], runs, inputs, deciding, complete)
-    measured = bool(set(arguments_of(found.equations)) - set(inputs))
     record |= {
         **found.settings,
-        "engines": name_engines([], engine, measured, along=True),
+        "engines": name_engines([], engine, found.equations, inputs, along=True),
         **({"ended_by_budget": [_NAME]} if cut else {}),
     }
     return replace(found, engine=engine, settings=record, seconds=monotonic() - began)
@@ -163,51 +157,6 @@ def _check_terms(demands: Demands, name: str) -> None:
                 f"measured {name}, which may be written in many ways; name terms of measured "
                 "columns in the equations of measured states"
             )
-
-
-def record_search(name: str, options: Options) -> dict[str, Any]:
-    """Give what the record of a search says of how it was asked for.
-
-    Parameters
-    ----------
-    name : what stands for a method.
-    options : of the search.
-    """
-    budget = options.time_budget
-    return {
-        **({} if budget is None else {"time_budget": budget}),
-        "method": name,
-        "methods": [name],
-        "preset": options.preset,
-        "seed": options.seed,
-        "version": __version__,
-        "details": to_plain(options.details),
-    }
-
-
-def claim_folder(
-    out: str | Path | None,
-    asked: Mapping[str, Any],
-    record: Mapping[str, Any],
-    runs: Sequence[Trajectory],
-    inputs: Mapping[str, sympy.Expr],
-) -> None:
-    """Make a folder that of this discovery; raises FolderTaken when it is another one's.
-
-    Parameters
-    ----------
-    out : the folder, if there is one.
-    asked : what makes this search another one than that of the same data without it.
-    record, runs, inputs : of the search.
-    """
-    digest = fingerprint([[run.t, run.columns, run.names] for run in runs])
-    about = {n: value for n, value in record.items() if n != "details"}
-    about |= {
-        **asked,
-        "data": f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}",
-    }
-    folder = RunFolder(None if out is None else Path(out).absolute())
-    folder.claim("discovery", about, fingerprint(about, record["details"], dict(inputs)))
 
 
 def _title(name: str, state: str) -> str:

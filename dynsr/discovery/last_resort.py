@@ -24,7 +24,6 @@ from dynsr.selection import Approximation, MeasuredRuns, find_approximations
 from dynsr.verdict import (
     APPROXIMATION,
     LAW,
-    LEVELS,
     NOT_FOUND,
     Verdict,
     followed_r2,
@@ -79,7 +78,7 @@ def follow_anyway(
     if verdict.level == APPROXIMATION and not whole and not _closer(judged, verdict):
         return None
     judged = _approximate(judged, measured_runs, changed.equations, least)
-    if LEVELS.index(judged.level) > LEVELS.index(verdict.level):
+    if judged.rank > verdict.rank:
         return None
     return changed, judged
 

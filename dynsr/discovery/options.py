@@ -10,14 +10,25 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import sympy
 
+from dynsr import __version__
 from dynsr.data import Missing, Trajectory, in_formulas, take_trajectories
 from dynsr.discovery.orders import Order
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
+from dynsr.discovery.records import say_data
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine
 from dynsr.errors import InputError
 from dynsr.fit import LossFunction
-from dynsr.jobs import Step
-from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, Constraints, Must
+from dynsr.jobs import RunFolder, Step, fingerprint, to_plain
+from dynsr.methods import (
+    AUTO,
+    DEFAULT_PRESET,
+    AbstractMethod,
+    Constraints,
+    Demands,
+    Must,
+    read_demands,
+)
+from dynsr.verdict import record_hold
 
 if TYPE_CHECKING:
     from dynsr.discovery.result import Discovery
@@ -30,6 +41,10 @@ _COLUMNS = (
 _NAMING = (
     "targets", "hold", "known", "slopes", "order", "must", "constraints", "nonnegative", "units",
     "vary", "observed",
+)  # fmt: skip
+# What is asked of the equations themselves.
+_DEMANDS = (
+    "functions", "max_complexity", "terms", "must", "constraints", "conserved", "nonnegative",
 )  # fmt: skip
 # What the call as a whole does, and none of the searches in it.
 _OF_THE_CALL = ("vary", "delays", "hidden", "stochastic", "ensemble", "observed")
@@ -127,6 +142,53 @@ class Options:
     def report(self) -> Callable[[Step], None] | None:
         """What is called as steps end."""
         return self.progress if callable(self.progress) else None
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder that was asked for; a worker that changes its own still finds it."""
+        return None if self.out is None else Path(self.out).absolute()
+
+    def demands(
+        self, states: Sequence[str], names: Sequence[str], units: Mapping[str, str] | None = None
+    ) -> Demands:
+        """Read what is asked of the equations of states in columns of these names and units."""
+        asked = {name: getattr(self, name) for name in _DEMANDS}
+        return read_demands(states, names, **asked, units=units)
+
+    def record(self, name: str, run: Trajectory) -> dict[str, Any]:
+        """Give what the record of a search says of how it was asked for.
+
+        Parameters
+        ----------
+        name : what stands for a method.
+        run : one of the data.
+        """
+        budget = self.time_budget
+        return {
+            **({} if budget is None else {"time_budget": budget}),
+            "method": name,
+            "methods": [name],
+            "preset": self.preset,
+            "seed": self.seed,
+            "version": __version__,
+            "details": to_plain(self.details),
+            **record_hold(run, self.drives, False, self.hold),
+        }
+
+    def claim(
+        self, record: Mapping[str, Any], runs: Sequence[Trajectory], asked: Mapping[str, Any]
+    ) -> None:
+        """Make the folder that of this discovery; raises FolderTaken when it is another one's.
+
+        Parameters
+        ----------
+        record, runs : of the search.
+        asked : what makes it another one than that of the same data without it.
+        """
+        about = {name: value for name, value in record.items() if name != "details"}
+        about |= {**asked, "data": say_data(runs)}
+        key = fingerprint(about, record["details"], dict(self.drives))
+        RunFolder(self.folder).claim("discovery", about, key)
 
     @property
     def first_order(self) -> bool:

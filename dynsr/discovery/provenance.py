@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from dynsr.data import Trajectory
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, with_words
 
 
 def with_provenance(
@@ -27,12 +26,10 @@ def with_provenance(
     }
     known = {name: words for name, words in told.items() if words}
     known |= {"observed": {n: str(e) for n, e in observed.items()}} if observed else {}
-    found = replace(found, settings={**found.settings, **known})
     if "column_units" not in found.settings:
-        return found
+        return with_words(found, "", **known)
     misfits = {
         state: f" In the units given it is no equation: {fault}."
         for state, fault in found.unit_faults().items()
     }
-    words = {s: why + misfits.get(s, "") for s, why in found.explanation.items()}
-    return replace(found, explanation=words)
+    return with_words(found, misfits, **known)

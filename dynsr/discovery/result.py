@@ -2084,6 +2084,32 @@ def _read_data(path: Path, kept: KeptData | None) -> tuple[Trajectory, ...]:
     return read_kept(content, kept)
 
 
+def with_words(found: Discovery, words: str | Mapping[str, str], **record: Any) -> Discovery:
+    """Give a discovery that says more of its equations, in their explanations and in its record.
+
+    Parameters
+    ----------
+    found : the discovery.
+    words : what the explanation of every state ends in; or state -> what its own does.
+    record : what is added to its settings, by name.
+    """
+    own = words if isinstance(words, Mapping) else dict.fromkeys(found.explanation, words)
+    said = {state: why + own.get(state, "") for state, why in found.explanation.items()}
+    return replace(found, explanation=said, settings={**found.settings, **record})
+
+
+def ended_early(found: Discovery, steps: Sequence[str], words: str = "") -> Discovery:
+    """Give a discovery whose record says which steps a time budget ended.
+
+    Parameters
+    ----------
+    found, words : as for :func:`with_words`.
+    steps : their names.
+    """
+    ended = [*found.settings.get("ended_by_budget", ()), *steps]
+    return with_words(found, words, ended_by_budget=ended)
+
+
 def keep_if_asked(found: Discovery, out: Any) -> None:
     """Save a discovery in the folder that was asked for, where that can be done.
 

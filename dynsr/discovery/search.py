@@ -27,7 +27,7 @@ from dynsr.discovery.options import Options
 from dynsr.discovery.orders import Order
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.provenance import with_provenance
-from dynsr.discovery.result import Discovery, keep_if_asked, with_profiles
+from dynsr.discovery.result import Discovery, ended_early, keep_if_asked, with_profiles, with_words
 from dynsr.discovery.scaling import Units, hidden_in_units, search_in_units, stochastic_in_units
 from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.stages import search_once
@@ -43,7 +43,7 @@ from dynsr.expression import counting, read_own_bits
 from dynsr.fit import LossFunction
 from dynsr.jobs import Budget, Step, finish_by
 from dynsr.methods import AUTO, DEFAULT_PRESET, AbstractMethod, Constraints, Must
-from dynsr.verdict import LAW, LEVELS
+from dynsr.verdict import LAW
 
 
 @checked
@@ -279,8 +279,7 @@ def _discover(data: Any, asked: Options) -> Discovery:
             found, late = in_time(lambda: with_volumes(with_profiles(found, profile)), found)
         found, cut = in_time(partial(with_ensemble, found, members, seed), found)
     if ended := ["profiles"] * late + ["ensemble"] * bool(members and cut):
-        ended = [*found.settings.get("ended_by_budget", ()), *ended]
-        found = replace(found, settings={**found.settings, "ended_by_budget": ended})
+        found = ended_early(found, ended)
     return _keep_fitted(stepped.say(found), asked.out)
 
 
@@ -342,10 +341,7 @@ def _search_both(runs: Sequence[Trajectory], options: Options, name: str) -> Dis
         alone = _search(runs, replace(options, out=None, time_budget=budget.rest()))
         if late:
             said = f" No equations with {name} were found in this time; give more."
-            ended = [*alone.settings.get("ended_by_budget", ()), "hidden"]
-            words = {state: why + said for state, why in alone.explanation.items()}
-            settings = {**alone.settings, "ended_by_budget": ended}
-            found, alone = replace(alone, explanation=words, settings=settings), None
+            found, alone = ended_early(alone, ["hidden"], said), None
     best = _better(found, alone, name)
     keep_if_asked(best, options.out)
     return best
@@ -356,12 +352,11 @@ def _better(found: Discovery | None, alone: Discovery | None, name: str) -> Disc
     if alone is None:
         assert found is not None
         return found
-    levels = [one.verdict.level for one in (found, alone) if one is not None]
-    if found is not None and LEVELS.index(levels[0]) <= LEVELS.index(levels[1]):
+    if found is not None and found.verdict.rank <= alone.verdict.rank:
         return found
     sure = alone.verdict.level == LAW
     said = f" No {name} is needed." if sure else f" Equations with {name} are no better."
-    return replace(alone, explanation={s: why + said for s, why in alone.explanation.items()})
+    return with_words(alone, said)
 
 
 def _keep_fitted(found: Discovery, out: str | Path | None) -> Discovery:

@@ -13,10 +13,10 @@ from dataclasses import replace
 from dynsr.data import Trajectory, carry, diagnose, turns_back
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.orders import read_form
-from dynsr.discovery.result import Discovery, keep_if_asked
+from dynsr.discovery.result import Discovery, keep_if_asked, with_words
 from dynsr.errors import InputError
 from dynsr.jobs import Budget
-from dynsr.verdict import LAW, LEVELS
+from dynsr.verdict import LAW
 
 # Options that say something of the equations of first order.
 _OF_FIRST = (
@@ -64,8 +64,7 @@ def search_orders(search: Search, runs: Sequence[Trajectory], asked: Options) ->
     if second is (best is found):
         return _say(best, states)
     no_better = "" if other is None else " Equations of second order are no better."
-    said = {state: why + no_better for state, why in best.explanation.items()}
-    return replace(best, explanation=said)
+    return with_words(best, no_better)
 
 
 def _search(search: Search, runs: Sequence[Trajectory], asked: Options) -> Discovery | None:
@@ -103,16 +102,13 @@ def _causes(runs: Sequence[Trajectory], state: str) -> set[str]:
 def _rank(found: Discovery) -> tuple[int, float]:
     """The better verdict is first; of two alike, the one that keeps closer to the data."""
     own = found.verdict.states.values()
-    level = LEVELS.index(found.verdict.level) if found.verdict.tested else len(LEVELS)
-    return level, -min((state.r2 for state in own), default=0.0)
+    return found.verdict.rank, -min((state.r2 for state in own), default=0.0)
 
 
 def _say(found: Discovery, states: Sequence[str]) -> Discovery:
     """Say, and keep in the record, that the data made the order 2."""
-    said = explain_order(states)
-    words = {s: f"{why} {said}" if s in states else why for s, why in found.explanation.items()}
-    record = {**found.settings, "order_by_data": list(states)}
-    return replace(found, explanation=words, settings=record)
+    words = dict.fromkeys(states, f" {explain_order(states)}")
+    return with_words(found, words, order_by_data=list(states))
 
 
 def explain_order(states: Sequence[str]) -> str:

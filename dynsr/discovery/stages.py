@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from time import monotonic
 from typing import Any
 from warnings import warn
@@ -71,7 +70,7 @@ from dynsr.discovery.tasks import (
 )
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, find_engine, refuse_idle, share_engine
 from dynsr.errors import InputError, one_line
-from dynsr.expression import arguments_of, read_own_bits, to_text
+from dynsr.expression import read_own_bits, to_text
 from dynsr.fit import (
     Candidate,
     Loss,
@@ -99,7 +98,6 @@ from dynsr.methods import (
     AbstractMethod,
     choose_methods,
     keeping,
-    read_demands,
 )
 from dynsr.selection import lead_with, rank_by_length
 from dynsr.verdict import ENGINES, LAW, NOBODY, Verdict, explain, name_engines, record_hold
@@ -124,8 +122,7 @@ def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
     begun = None if asked.start is None else Start.read(asked.start).check(runs[0], problem.form)
     bits = read_own_bits(asked.complexity)
     record = _begin_record(asked, problem, methods, begun)
-    # A worker that outlives a change of folder must not take a relative path for its own.
-    folder = RunFolder(None if asked.out is None else Path(asked.out).absolute())
+    folder = RunFolder(asked.folder)
     key = _claim(folder, problem, states, methods, record)
     first, _ = finish_by(
         problem.until("searches"),
@@ -141,11 +138,12 @@ def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
         follow = {s: problem.samples_in_time(s) for s, _ in demands.conserved}
         found = add_conserved(found, demands, follow, runs[0].states)
     record["scheme"] = {s: problem.samples_in_time(s).scheme for s in states}
-    measured = bool(set(arguments_of(found.equations)) - set(drives))
     shown = set(record.get("first_look", ()))
     ran = [m for n, m in methods.items() if n in record["methods"] and not shown >= set(states)]
     along = EXPLORATION in first and not shown
-    record["engines"] = name_engines(ran, chosen, measured, along, FIRST_LOOK in first)
+    record["engines"] = name_engines(
+        ran, chosen, found.equations, drives, along, FIRST_LOOK in first
+    )
     record["engines"] |= ENGINES if asked.discrete else {}
     found = replace(found, verdict=NOBODY) if demands.conserved else found
     left = _left_to_us(asked)
@@ -175,18 +173,8 @@ def _pose(data: Sequence[Trajectory], asked: Options) -> tuple[Problem, tuple[st
     order = 1 if asked.order is None else asked.order
     form = read_form(order, asked.explicit_time, asked.discrete, runs, targets, asked.slopes)
     runs = form.prepare(carry(runs), scheme, settings.slopes)
-    demands = read_demands(
-        runs[0].states,
-        runs[0].names,
-        functions=asked.functions,
-        max_complexity=asked.max_complexity,
-        terms=asked.terms,
-        must=asked.must,
-        constraints=asked.constraints,
-        conserved=asked.conserved,
-        nonnegative=asked.nonnegative,
-        units=column_units(runs[0], asked.units),
-    )
+    units = column_units(runs[0], asked.units)
+    demands = asked.demands(runs[0].states, runs[0].names, units)
     settings = replace(settings, selection=settle(settings.selection, check_must(demands, runs)))
     known = read_inputs(asked.known or {}, (*runs[0].names, "t"))
     for state in known:

@@ -17,7 +17,6 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.data import Trajectory
-from dynsr.discovery.hidden import claim_folder, record_search
 from dynsr.discovery.options import Options
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
@@ -35,7 +34,7 @@ from dynsr.fit import (
     tidy,
 )
 from dynsr.jobs import Budget, Turns, collect_by
-from dynsr.methods import AUTO, choose_methods, read_demands
+from dynsr.methods import AUTO, choose_methods
 from dynsr.parameters import Diffusion, DiffusionTerm, log_interval, match_constants
 from dynsr.selection import (
     StochasticFound,
@@ -58,7 +57,6 @@ from dynsr.verdict import (
     is_probable,
     most_by_chance,
     products_of,
-    record_hold,
     summarise,
 )
 
@@ -81,7 +79,6 @@ _REFUSED = (
     "loss",
     "start",
 )
-_DEMANDS = ("functions", "max_complexity", "terms")
 
 
 def check_stochastic(runs: Sequence[Trajectory], options: Options) -> bool:
@@ -120,14 +117,13 @@ def search_stochastic(runs: Sequence[Trajectory], options: Options) -> Discovery
     """
     began, details, inputs = monotonic(), options.details, options.drives
     states, names = runs[0].states, runs[0].names
-    demands = read_demands(states, names, **{n: getattr(options, n) for n in _DEMANDS})
+    demands = options.demands(states, names)
     record = {
         **demands.as_record(),
-        **record_search(_NAME, options),
-        **record_hold(runs[0], inputs, False, options.hold),
+        **options.record(_NAME, runs[0]),
         "engine": DEFAULT_ENGINE,
     }
-    claim_folder(options.out, {_NAME: True}, record, runs, inputs)
+    options.claim(record, runs, {_NAME: True})
     search = StochasticSearch.of(runs, inputs, demands, details.stochastic)
     if len(search.steps.h) < details.verdict.fewest:
         raise InputError(

@@ -19,7 +19,7 @@ import sympy
 
 from dynsr import errors
 from dynsr.data import Samples, Trajectory
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, with_words
 from dynsr.discovery.start import SOURCE
 from dynsr.expression import counting
 from dynsr.fit import (
@@ -631,8 +631,8 @@ def answer_soon(
             for s, own in samples.items()
         ):
             searched = [r for r in watch.records.values() if isinstance(r, Found)]
-            why = {s: words + cut_notes(searched, s) for s, words in best.explanation.items()}
-            return replace(best, complete=True, explanation=why)
+            cut = {state: cut_notes(searched, state) for state in best.explanation}
+            return replace(with_words(best, cut), complete=True)
     clock.leave()
     equations, fronts = {}, {}
     end = End(time.monotonic() + _SECONDS_TO_FIT)

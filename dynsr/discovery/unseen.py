@@ -26,7 +26,7 @@ from dynsr.data import (
     find_unseen_steps,
 )
 from dynsr.discovery.options import Options, Search
-from dynsr.discovery.result import Discovery, keep_if_asked
+from dynsr.discovery.result import Discovery, keep_if_asked, with_words
 from dynsr.errors import DynsrWarning
 from dynsr.fit import Measurements, fit_along, loosen_all
 from dynsr.jobs import Budget
@@ -72,9 +72,7 @@ class Stepped:
             "times": self._times(self.steps),
             "cut": self.cut,
         }
-        words = {s: f"{why} {said}" for s, why in found.explanation.items()}
-        record = {**found.settings, "unseen_steps": record}
-        return replace(found, explanation=words, settings=record)
+        return with_words(found, f" {said}", unseen_steps=record)
 
     def _times(self, steps: UnseenSteps) -> list[list[float]]:
         """Give the times of the rows before and after each step, run by run."""

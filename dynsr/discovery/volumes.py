@@ -19,7 +19,7 @@ import sympy
 from scipy.optimize import approx_fprime, least_squares
 
 from dynsr.data import Dosing, Trajectory, split_volume
-from dynsr.discovery.result import Discovery
+from dynsr.discovery.result import Discovery, with_words
 from dynsr.errors import EngineError, InputError
 from dynsr.parameters import Parameter
 from dynsr.verdict import Measured, predict_with_doses
@@ -45,8 +45,7 @@ def with_volumes(found: Discovery) -> Discovery:
         volumes = {}
         said = {state: f"{name} could not be fitted: {error}" for state, name in unknown.items()}
     words = {s: f" The volume {text}." for s, text in said.items()}
-    explanation = {s: why + words.get(s, "") for s, why in found.explanation.items()}
-    return replace(found, volumes=volumes, explanation=explanation)
+    return replace(with_words(found, words), volumes=volumes)
 
 
 def _text(volume: Parameter) -> str:

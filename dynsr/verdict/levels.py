@@ -222,6 +222,11 @@ class Verdict:
         """Whether the equations were tested at all."""
         return self.level != NOT_TESTED
 
+    @property
+    def rank(self) -> int:
+        """Place among verdicts from the best one on; one that was not given comes last."""
+        return LEVELS.index(self.level) if self.tested else len(LEVELS)
+
     judged = Renamed("tested")
     rivals = Renamed("alternatives")
 
@@ -285,6 +290,21 @@ def doubt(law: StateVerdict, why: str) -> StateVerdict:
     """
     said = f"{law.reason.removesuffix('.')}, but {why}"
     return replace(law, level=APPROXIMATION, reason=said)
+
+
+def doubt_laws(verdict: Verdict, doubts: Mapping[str, str]) -> Verdict:
+    """Take laws for approximations; the verdict as it is where no law has a doubt.
+
+    Parameters
+    ----------
+    verdict : on all states.
+    doubts : state -> what is to be said after "but".
+    """
+    states = {
+        state: doubt(own, doubts[state]) if own.level == LAW and state in doubts else own
+        for state, own in verdict.states.items()
+    }
+    return verdict if states == verdict.states else summarise(states, verdict.span)
 
 
 def least_r2(noise: float, settings: VerdictSettings = VERDICT) -> float:
@@ -402,14 +422,13 @@ def hold_to_slopes(
     >>> hold_to_slopes(law, {"x": (1e-3, 1e-8)}).reason
     'x: it follows, but misses the slopes of the data, which are exact, by 0.1 % of their size.'
     """
-    states = dict(verdict.states)
-    for state, (share, error) in missed.items():
-        own = states[state]
-        if own.level == LAW and share > settings.slopes and error < settings.sharp:
-            size = f"{percent(share)} of their size."
-            said = f"misses the slopes of the data, which are exact, by {size}"
-            states[state] = doubt(own, said)
-    return verdict if states == verdict.states else summarise(states, verdict.span)
+    said = "misses the slopes of the data, which are exact, by"
+    doubts = {
+        state: f"{said} {percent(share)} of their size."
+        for state, (share, error) in missed.items()
+        if share > settings.slopes and error < settings.sharp
+    }
+    return doubt_laws(verdict, doubts)
 
 
 def summarise(states: Mapping[str, StateVerdict], span: float, law: str = _EVERY) -> Verdict:

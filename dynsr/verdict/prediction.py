@@ -26,7 +26,7 @@ from dynsr.engines import (
     simulate_driven,
 )
 from dynsr.errors import InputError
-from dynsr.expression import as_float_tree, parse, write_out
+from dynsr.expression import arguments_of, as_float_tree, parse, write_out
 from dynsr.methods import AbstractMethod
 
 RELTOL, ABSTOL = 1e-8, 1e-10
@@ -328,7 +328,8 @@ def _follow_measured(
 def name_engines(
     methods: Iterable[AbstractMethod],
     engine: AbstractEngine,
-    measured: bool,
+    equations: Mapping[str, sympy.Expr],
+    drives: Mapping[str, sympy.Expr],
     along: bool = False,
     looked: bool = False,
 ) -> dict[str, str]:
@@ -338,22 +339,25 @@ def name_engines(
     ----------
     methods : those that search, each with the engine that it uses, if any.
     engine : the one that was asked for.
-    measured : whether the equations read inputs or other states from measurements.
+    equations : state -> right-hand side.
+    drives : inputs that are known as expressions in ``t``; others are read from measurements.
     along : whether sums of terms were looked for along noisy states.
     looked : whether the slopes had a first look before the methods.
 
-    >>> name_engines([], find_engine("embedded"), False)["simulate"]
+    >>> name_engines([], find_engine("embedded"), {"x": sympy.Symbol("x")}, {})["simulate"]
     'embedded'
     """
     own = [method.engine for method in methods]
     regress = dict.fromkeys(find_engine(one).name for one in own if one is not None)
+    takes = engine.takes_drives and not is_embedded(engine)
+    driven = f"{engine.name} ({DRIVEN})" if takes else MEASURED
     where = ["on the states"] * along + ["on the slopes"] * (looked or None in own)
     return {
         **({"search": f"none (NumPy {' and '.join(where)})"} if where else {}),
         **({"regress": ", ".join(regress)} if regress else {}),
         "fit": "embedded (multiple shooting)",
         "forecast": "embedded (multiple shooting)",
-        "simulate": _name_simulator(engine, measured),
+        "simulate": driven if set(arguments_of(equations)) - set(drives) else engine.name,
         "bands": "embedded (a curve for each draw of the constants)",
     }
 
@@ -376,10 +380,3 @@ def record_hold(
         raise InputError("a map has no time between rows; leave hold out")
     held = {} if discrete else {n: way for n, way in run.holds.items() if n not in drives}
     return {"hold": dict(held)} if held else {}
-
-
-def _name_simulator(engine: AbstractEngine, measured: bool) -> str:
-    if not measured:
-        return engine.name
-    driven = engine.takes_drives and not is_embedded(engine)
-    return f"{engine.name} ({DRIVEN})" if driven else MEASURED
