@@ -8,7 +8,7 @@ from dynsr.cli.app import app
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
-from dynsr.discovery.uncertainty import bootstrap, intervals
+from dynsr.discovery.uncertainty import bootstrap
 from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate, ParetoFront
@@ -40,7 +40,7 @@ def test_true_terms_are_sure_and_false_ones_are_not(noisy):
 
 def test_intervals_hold_the_true_constants(noisy):
     """The 95 % intervals hold -0.5 and 1, and are not so wide that they say nothing."""
-    rows = {term: (low, high) for _, term, _, low, high in intervals(bootstrap(noisy, members=60))}
+    rows = {str(term.expr): term.interval for term in bootstrap(noisy, members=60)["x"]}
     assert rows["x"][0] < -0.5 < rows["x"][1]
     assert rows["1"][0] < 1 < rows["1"][1]
     assert rows["x"][1] - rows["x"][0] < 0.1

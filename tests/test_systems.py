@@ -351,16 +351,6 @@ def test_shapes_are_told_apart_by_more_than_numbers():
     assert [sorted(map(str, e.free_symbols)) for e in distinct_shapes(same)] == [["x", "y"], ["x"]]
 
 
-def test_half_of_the_rows_are_measured_in_a_half():
-    """The halves share no row and together have all; curves stay those of all rows."""
-    data = measured("SIR")
-    halves = [data.half(which).mesh(("S", "J")) for which in (0, 1)]
-    whole = data.mesh(("S", "J"))
-    assert np.array_equal(sum(h.weights for h in halves), whole.weights)
-    assert not np.any(halves[0].weights * halves[1].weights)
-    assert all(np.array_equal(h.start, whole.start) for h in halves)
-
-
 def test_functions_that_part_beyond_a_short_arc_are_rivals_on_it():
     """tanh and a sine are one function over half a radian, and part beyond it; sin(2 q) written
     otherwise is the same everywhere, and a formula of more constants may be any function.

@@ -16,7 +16,7 @@ import sympy
 from dynsr.discovery.problem import OtherFormulas, Problem
 from dynsr.discovery.result import Discovery
 from dynsr.expression import parse, shown
-from dynsr.fit import ParetoFront, constant_bits, skeleton, tidy, with_floats
+from dynsr.fit import ParetoFront, constant_bits, same_form, tidy, with_floats
 from dynsr.jobs import finish_by
 from dynsr.library import structure_in
 from dynsr.verdict import LEAST_SQUARE, LEVELS, NOT_FOUND, OtherFormula, Verdict, count_constants
@@ -119,12 +119,8 @@ def _seen_from(
     alternatives: OtherFormulas, found: Discovery, other: Discovery, state: str, bits: float
 ) -> OtherFormulas:
     """Give the alternatives to another answer, which takes so many bits more."""
-    shape = skeleton(with_floats(other.equations[state]))
-    own = [
-        (e, more - bits)
-        for e, more in alternatives.get(state, ())
-        if skeleton(with_floats(e)) != shape
-    ]
+    pairs = alternatives.get(state, ())
+    own = [(e, more - bits) for e, more in pairs if not same_form(e, other.equations[state])]
     return {**alternatives, state: [*own, (found.equations[state], -bits)]}
 
 

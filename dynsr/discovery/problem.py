@@ -48,6 +48,7 @@ from dynsr.fit import (
     noise_of,
     polish,
     refit,
+    same_form,
     score_candidate,
     skeleton,
     slope_size,
@@ -329,9 +330,9 @@ class Problem:
         Whole systems and the last fit may come to another form than slopes preferred.
         """
         own = expr - self.known.get(pick.state, sympy.S.Zero)
-        if _alike(pick.candidate.expr, own):
+        if same_form(pick.candidate.expr, own):
             return pick
-        source = next((c.source for c in pool if _alike(c.expr, own)), "")
+        source = next((c.source for c in pool if same_form(c.expr, own)), "")
         samples = self.samples_in_time(pick.state)
         return lead_with(pick, score_candidate(own, samples, source or COMPARED), samples)
 
@@ -372,7 +373,7 @@ class Problem:
         given = self.known.get(state, sympy.S.Zero)
         samples = self.samples(state, self.runs)
         new, old = (match.exprs[state] - given, found.equations[state] - given)
-        source = next((c.source for c in found.front.get(state, ()) if _alike(c.expr, new)), "")
+        source = next((c.source for c in found.front.get(state, ()) if same_form(c.expr, new)), "")
         both = [score_candidate(e, samples, source or COMPARED) for e in (new, old)]
         ranked = [RankedCandidate(c, description_length(c, samples, noise), None) for c in both]
         details = Pick(state, tuple(ranked), noise).explanation
@@ -821,11 +822,6 @@ def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
     """Give the first formula and those that come as near to the slopes."""
     first, *others = candidates
     return [first.expr, *(c.expr for c in others if c.loss <= _AS_NEAR * first.loss)]
-
-
-def _alike(one: sympy.Expr, other: sympy.Expr) -> bool:
-    """Whether formulas differ in their constants alone."""
-    return bool(skeleton(with_floats(one)) == skeleton(with_floats(other)))
 
 
 def _of_one_form(one: sympy.Expr, other: sympy.Expr) -> bool:

@@ -596,10 +596,7 @@ class Discovery:
         >>> Discovery({"x": -2 * x / (3 * x + 5)}, {}, {}, {}).identifiability()
         Exact data of this kind determine every parameter.
         """
-        if self.is_map:
-            raise InputError("a map has no joint fit of its states; its errors are of one step")
-        refuse_curves(self.free, "identifiability is that of formulas")
-        self._refuse_noise("identifiability")
+        self._refuse("identifiability", "identifiability is that of formulas")
         system = self.system
         if not system.parameters:
             raise InputError("the equations have no parameters")
@@ -647,11 +644,8 @@ class Discovery:
         >>> found.suggest().best.bits > 0
         True
         """
-        if self.is_map:
-            raise InputError("a map has no joint fit of its states; its errors are of one step")
-        refuse_hidden(self.hidden, "an experiment starts")
-        refuse_curves(self.free, "experiments are suggested for formulas")
-        self._refuse_noise("an experiment")
+        formulas = "experiments are suggested for formulas"
+        self._refuse("an experiment", formulas, "an experiment starts")
         if rows is not None and rows < 2:
             raise InputError(f"an experiment of {rows} rows shows no motion; give 2 or more")
         if span is not None and not (np.isfinite(span) and span > 0):
@@ -679,10 +673,7 @@ class Discovery:
         return [*(parse(alternative.equation) for alternative in named), *near]
 
     def _profiles(self, data: Any = None, settings: ProfileSettings | None = None) -> Profiles:
-        if self.is_map:
-            raise InputError("a map has no joint fit of its states; its errors are of one step")
-        refuse_curves(self.free, "profiles are those of formulas")
-        self._refuse_noise("profiles")
+        self._refuse("profiles", "profiles are those of formulas")
         if self.by_run.constants:
             raise InputError(
                 "parameters differ from run to run; ask for_run(NAME) for the profiles of one run"
@@ -746,11 +737,9 @@ class Discovery:
         1    0.5  0.4999... to 0.5000...
         2    0.9  0.8999... to 0.9000...
         """
-        if self.is_map:
-            raise InputError("a map has no joint fit of its states; its constants do not differ")
-        refuse_hidden(self.hidden, "constants differ from run to run")
-        refuse_curves(self.free, "constants differ from run to run in formulas")
-        self._refuse_noise("constants that differ from run to run")
+        differ = "constants differ from run to run"
+        what = "constants that differ from run to run"
+        self._refuse(what, f"{differ} in formulas", differ, "its constants do not differ")
         if not self.trajectories:
             raise InputError("the data are not here; discover again before constants can differ")
         if self.by_run.constants:
@@ -1099,10 +1088,7 @@ class Discovery:
         embedded one, EngineUnavailable when the engine is absent, EngineError when the solution
         diverges.
         """
-        if (x0 is None or t is None) and not self.trajectories:
-            raise InputError("the data are not here; give x0 and t")
-        start = self._in_order(x0) if isinstance(x0, Mapping) else x0
-        times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
+        start, times = self._from(x0, t)
         if self.delays:
             if hold is not None or doses is not None:
                 raise InputError("equations with delays are followed without hold and doses")
@@ -1110,8 +1096,7 @@ class Discovery:
             return self._follow(start, times, given, engine, history)
         if history is not None:
             raise InputError("the equations have no delays; leave history out")
-        if start is None:
-            start = self.carried[0].x[0][self._positions()]
+        start = self._first if start is None else start
         if self.is_map:
             refuse_idle(engine, "a map is iterated")
             if hold is not None or doses is not None:
@@ -1122,6 +1107,23 @@ class Discovery:
         chosen = engine or self.engine
         jumps = {s: self._jumps(s, amounts) for s, amounts in (doses or {}).items()}
         return predict_with_doses(self.equations, start, times, jumps, given, chosen, hold)
+
+    def _from(
+        self,
+        x0: Mapping[str, float] | Sequence[float] | np.ndarray | None,
+        t: Sequence[float] | np.ndarray | None,
+    ) -> tuple[Sequence[float] | np.ndarray | None, np.ndarray]:
+        """Give a start in the order of the equations, None for that of the data, and the times."""
+        if (x0 is None or t is None) and not self.trajectories:
+            raise InputError("the data are not here; give x0 and t")
+        start = self._in_order(x0) if isinstance(x0, Mapping) else x0
+        return start, self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
+
+    @property
+    def _first(self) -> np.ndarray:
+        """(k,) where the equations begin in the first run."""
+        found: np.ndarray = self.carried[0].x[0][self._positions()]
+        return found
 
     def _in_order(self, start: Mapping[str, float]) -> list[float]:
         """Give start states by name, as the data or the equations call them, in order."""
@@ -1170,14 +1172,10 @@ class Discovery:
             raise InputError(
                 "these equations have no noise in the motion; discover with stochastic=True"
             )
-        if (x0 is None or t is None) and not self.trajectories:
-            raise InputError("the data are not here; give x0 and t")
+        begin, times = self._from(x0, t)
         if count < 1:
             raise InputError(f"count must be 1 or more; it is {count}")
-        x0 = self._in_order(x0) if isinstance(x0, Mapping) else x0
-        times = self.trajectories[0].t if t is None else np.asarray(t, dtype=float)
-        start = self.carried[0].x[0][self._positions()] if x0 is None else x0
-        start = np.asarray(start, dtype=float)
+        start = np.asarray(self._first if begin is None else begin, dtype=float)
         if start.shape != (len(self.equations),):
             raise InputError(f"x0 has shape {start.shape}; give {len(self.equations)} start states")
         names = arguments_of(self.equations | {s: d.expr for s, d in self.diffusion.items()})
@@ -1207,6 +1205,20 @@ class Discovery:
             np.array([path.x for path in paths]), [(1 - share) / 2, (1 + share) / 2], axis=0
         )
         return paths[0], {s: (low[:, i], high[:, i]) for i, s in enumerate(self.equations)}
+
+    def _refuse(
+        self, what: str, formulas: str, hidden: str = "", of_map: str = "its errors are of one step"
+    ) -> None:
+        """Raise InputError where no formulas are fitted to the states, or a hidden one is no use.
+
+        The words are what is asked for, and what is said of formulas, hidden states and maps.
+        """
+        if self.is_map:
+            raise InputError(f"a map has no joint fit of its states; {of_map}")
+        if hidden:
+            refuse_hidden(self.hidden, hidden)
+        refuse_curves(self.free, formulas)
+        self._refuse_noise(what)
 
     def _refuse_noise(self, what: str) -> None:
         """Raise InputError for what a joint fit says, where the motion has noise."""

@@ -283,26 +283,20 @@ def start_one(exprs: Sequence[sympy.Expr], samples: Samples, report: Report = si
     return Found(samples.target, START, candidates, time.monotonic() - began)
 
 
+def _task(
+    state: str, method: str, said: str, work: Callable[..., Found], arguments: Any, key: str
+) -> Task:
+    """Give the task of a search of one state; the key digests all that its result depends on."""
+    name, title = _search_name(state, method), f"{state}' {said}"
+    return Task(name, title, work, arguments, Found, key)
+
+
 def start_tasks(
     formulas: Mapping[str, Sequence[sympy.Expr]], samples: Mapping[str, Samples], key: str
 ) -> list[Task]:
-    """Give a task for every state that fits the formulas of an earlier discovery.
-
-    Parameters
-    ----------
-    formulas : state -> those formulas.
-    samples : state -> its samples.
-    key : digest of all that the result depends on.
-    """
+    """Give a task for every state that fits the formulas of an earlier discovery."""
     return [
-        Task(
-            _search_name(state, START),
-            f"{state}' from the start",
-            start_one,
-            (formulas[state], own),
-            Found,
-            key,
-        )
+        _task(state, START, "from the start", start_one, (formulas[state], own), key)
         for state, own in samples.items()
     ]
 
@@ -320,19 +314,11 @@ def look_task(
     ----------
     samples : of the state.
     found : what was found of the states before it.
-    demands : what the user asks.
-    settings : the numbers that decide.
-    key : digest of all that the result depends on.
+    demands, settings, key : what the user asks, the numbers that decide, and the key of the task.
     """
     known = {f.target: f.candidates[0].expr for f in found if f.final}
-    return Task(
-        _search_name(samples.target, FIRST_LOOK),
-        f"{samples.target}' at a first look",
-        look_one,
-        (samples, known, demands.limits(samples.target), settings),
-        Found,
-        key,
-    )
+    arguments = samples, known, demands.limits(samples.target), settings
+    return _task(samples.target, FIRST_LOOK, "at a first look", look_one, arguments, key)
 
 
 def look_again_tasks(
@@ -349,19 +335,17 @@ def look_again_tasks(
     ----------
     samples : state -> its samples.
     found : what the looks before it found, of every state.
-    demands : what the user asks.
-    settings : the numbers that decide.
     source : which look it is.
-    key : digest of all that the result depends on.
+    demands, settings, key : as for :func:`look_task`.
     """
     known = {f.target: f.candidates[0].expr for f in found if f.final}
     return [
-        Task(
-            _search_name(f.target, source),
-            f"{f.target}' at a {source}",
+        _task(
+            f.target,
+            source,
+            f"at a {source}",
             look_again_one,
             (samples[f.target], known, f, demands.limits(f.target), settings, source),
-            Found,
             key,
         )
         for f in found
@@ -370,21 +354,11 @@ def look_again_tasks(
 
 
 def explore_tasks(
-    states: Sequence[str],
-    data: Measurements,
-    settings: SelectionSettings,
-    key: str,
+    states: Sequence[str], data: Measurements, settings: SelectionSettings, key: str
 ) -> list[Task]:
     """Give a task for every state that looks for sums of terms along the states."""
     return [
-        Task(
-            _search_name(state, EXPLORATION),
-            f"{state}' from the states",
-            explore_one,
-            (state, data, settings),
-            Found,
-            key,
-        )
+        _task(state, EXPLORATION, "from the states", explore_one, (state, data, settings), key)
         for state in states
     ]
 
@@ -474,9 +448,9 @@ def search_tasks(
     for state, own in samples.items():
         for name, method in methods.items():
             entropy = [seed, zlib.crc32(state.encode()), zlib.crc32(name.encode())]
-            task = _search_name(state, name)
-            arguments = (method, own, np.random.SeedSequence(entropy), turns.get(task))
-            one = Task(task, f"{state}' by {name}", search_one, arguments, Found, key)
+            turn = turns.get(_search_name(state, name))
+            arguments = method, own, np.random.SeedSequence(entropy), turn
+            one = _task(state, name, f"by {name}", search_one, arguments, key)
             tasks.append(replace(one, failed=partial(_died, state, name)))
     return tasks
 

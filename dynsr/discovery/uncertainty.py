@@ -12,7 +12,7 @@ smoother biases the intervals.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -191,15 +191,6 @@ def _summarise(exprs: Sequence[sympy.Expr], draws: np.ndarray, level: float) -> 
         share = len(kept) / len(column)
         terms.append(Term(expr, share, middle, (float(low), float(high))))
     return sorted(terms, key=lambda term: (-term.probability, ByText(term.expr)))
-
-
-def intervals(terms: Mapping[str, Sequence[Term]]) -> list[tuple[str, str, float, float, float]]:
-    """Give rows (state, term, probability, low, high) for a table."""
-    return [
-        (state, str(term.expr), term.probability, *term.interval)
-        for state, found in terms.items()
-        for term in found
-    ]
 
 
 # Draws of an ensemble that is asked for by its name alone.

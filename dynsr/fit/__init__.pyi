@@ -94,7 +94,7 @@ from .stochastic import (
     StochasticSystem,
 )
 from .ties import Names, exchanges, pairs_alike, ways_alike
-from .variation import improve, loosen, with_floats
+from .variation import improve, loosen, same_form, with_floats
 from .whole import interval_reach
 
 __all__ = [
@@ -204,6 +204,7 @@ __all__ = [
     "residual_noise",
     "rmse",
     "runge_kutta_step",
+    "same_form",
     "score_candidate",
     "score_snapped",
     "shift_bits",

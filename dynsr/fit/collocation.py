@@ -561,6 +561,20 @@ class Collocation:
         found = self.solve(near, strict)
         return None if found is None else self.as_fit(*found)
 
+    def fit_tied(
+        self, states: np.ndarray, ways: np.ndarray, begun: bool = False
+    ) -> CollocationFit | None:
+        """Fit states and constants, of which some are one; None where slopes are not finite.
+
+        Parameters
+        ----------
+        states : (k, n) where they start.
+        ways : (P, Q) directions in which the constants may go.
+        begun : whether the start follows the system already.
+        """
+        found = self._in_stages(states, begun, ways)
+        return None if found is None else self.as_fit(*found)
+
     def solve(
         self, near: CollocationFit | None = None, strict: bool = False
     ) -> tuple[np.ndarray, ...] | None:
@@ -1132,23 +1146,6 @@ class Measurements:
             )
         ]
         return join_samples(pieces)
-
-    def half(self, which: int) -> Measurements:
-        """Give the same data with every second row measured only, of those of each state.
-
-        Parameters
-        ----------
-        which : 0 for the first, third, ... row, 1 for the others.
-        """
-        halved = []
-        for smoothed in self.smoothed:
-            noise = smoothed.noise.copy()
-            for column in noise.T:
-                column[np.flatnonzero(np.isfinite(column))[1 - which :: 2]] = np.inf
-            halved.append(replace(smoothed, noise=noise))
-        pairs = zip(self.sums, halved, strict=False)
-        sums = [np.where(np.isfinite(half.noise), own, np.inf) for own, half in pairs]
-        return replace(self, smoothed=halved, sums=sums)
 
     def with_noise(self, shares: Mapping[str, float]) -> Measurements:
         """Give the same data with other noise.

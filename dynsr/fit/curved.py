@@ -24,7 +24,6 @@ from scipy.optimize import least_squares, minimize
 from dynsr.expression import Curve, Program, compile_columns, differentiate
 from dynsr.fit.collocation import (
     Collocation,
-    CollocationFit,
     Mesh,
     Probes,
     _Gathered,
@@ -345,18 +344,6 @@ class _Curved(Collocation):
         """
         return dict(self.exprs)
 
-    def fit_along(self, states: np.ndarray, ways: np.ndarray, begun: bool) -> CollocationFit | None:
-        """Fit states and numbers; None where slopes are not finite.
-
-        Parameters
-        ----------
-        states : (k, n) where they start.
-        ways : (N, Q) directions in which the numbers may go.
-        begun : whether the start follows the system already.
-        """
-        found = self._in_stages(states, begun, self.ties @ ways)
-        return None if found is None else self.as_fit(*found)
-
 
 @dataclass(frozen=True, eq=False)
 class CurvedFit(ScaledFit):
@@ -625,7 +612,9 @@ def _solve(
     """Fit, and choose what bending costs, in turns."""
     fit: CurvedFit | None = None
     for _ in range(settings.rounds):
-        found = problem.fit_along(np.ascontiguousarray(states.T), ways, fit is not None)
+        found = problem.fit_tied(
+            np.ascontiguousarray(states.T), problem.ties @ ways, fit is not None
+        )
         if found is None or not np.all(np.isfinite(found.misses)):
             return fit
         fit, states = CurvedFit(problem, ways, found, least, settings), found.states

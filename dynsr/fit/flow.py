@@ -184,6 +184,11 @@ class Flow:
         """Arguments of the compiled right-hand sides, in order."""
         return [*self.rhs, *self.driven, "t", *(str(c) for c in self.constants)]
 
+    def closed(self, values: Iterable[float]) -> Flow:
+        """Give the flow with its constants' values in their places."""
+        put = dict(zip(self.constants, map(sympy.Float, values), strict=True))
+        return Flow({s: e.xreplace(put) for s, e in self.rhs.items()}, self.driven, ())
+
     @cached_property
     def _slope(self) -> Rows:
         return compile_rows(list(self.rhs.values()), self.names)

@@ -181,20 +181,6 @@ class _Grouped(Collocation):
         own = np.where(everywhere[:, None], 1.0, driven[columns])
         return base, by_states, by_constants * own
 
-    def fit_tied(
-        self, states: np.ndarray, ways: np.ndarray, begun: bool = False
-    ) -> CollocationFit | None:
-        """Fit states and constants, of which some are one; None where slopes are not finite.
-
-        Parameters
-        ----------
-        states : (k, n) where they start.
-        ways : (P, Q) which constants are one.
-        begun : whether the start follows the system already.
-        """
-        found = self._in_stages(states, begun, ways)
-        return None if found is None else self.as_fit(*found)
-
 
 def _constant(state: str, name: str, group: int) -> sympy.Symbol:
     return sympy.Symbol(f"constant {state} {name} {group}")

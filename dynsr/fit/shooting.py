@@ -483,9 +483,7 @@ def measure_covariance(
     free = is_noisy(runs)
     length = _window_length(runs, free)
     shooting = build_shooting(flow, runs, inputs, length, free, settings)
-    put = dict(zip(flow.constants, map(sympy.Float, values), strict=True))
-    rhs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
-    fixed = replace(shooting, flow=Flow(rhs, flow.driven, ()))
+    fixed = replace(shooting, flow=flow.closed(values))
     with np.errstate(all="ignore"):
         starts = shooting.windows.x[0]
         fixed = replace(
@@ -685,8 +683,7 @@ def finer_paces(first: int, most: int) -> list[Pace]:
 def _match(
     flow: Flow, owners: Sequence[str], values: np.ndarray, errors: np.ndarray, misses: np.ndarray
 ) -> Match:
-    put = {c: sympy.Float(float(v)) for c, v in zip(flow.constants, values, strict=True)}
-    exprs = {state: expr.xreplace(put) for state, expr in flow.rhs.items()}
+    exprs = dict(flow.closed(values).rhs)
     pairs = list(zip(owners, values.tolist(), errors.tolist(), strict=True))
     ordered = {
         state: _in_order(expr, {v: e for owner, v, e in pairs if owner == state})

@@ -16,7 +16,7 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import ByText, Vocabulary, complexity, expand_terms
 from dynsr.fit.candidates import Candidate, score_candidate
-from dynsr.fit.constants import refit
+from dynsr.fit.constants import refit, skeleton
 from dynsr.fit.description import description_length
 from dynsr.fit.noise import Noise
 from dynsr.fit.settings import FIT, FitSettings
@@ -114,6 +114,16 @@ def with_floats(expr: sympy.Expr) -> sympy.Expr:
     (3.0*x, x)
     """
     return expr if expr.is_Symbol or expr.is_Number else loosen(expr)
+
+
+def same_form(one: sympy.Expr, other: sympy.Expr) -> bool:
+    """Whether formulas differ in nothing but their constants.
+
+    >>> x = sympy.Symbol("x")
+    >>> same_form(2 * x + 1, 0.3 * x - 7), same_form(2 * x, x**2)
+    (True, False)
+    """
+    return bool(skeleton(with_floats(one)) == skeleton(with_floats(other)))
 
 
 def _loose_term(term: sympy.Expr) -> sympy.Expr:

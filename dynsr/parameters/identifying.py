@@ -30,7 +30,6 @@ from dynsr.fit import Profiling
 from dynsr.jobs import check_seed
 
 _START = "{}(0)"
-_TIME = sympy.Symbol("t")
 
 
 @dataclass(frozen=True)

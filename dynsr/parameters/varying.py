@@ -565,7 +565,7 @@ def _numbers(structure: Structure) -> dict[str, sympy.Expr]:
     """Give equations with the median over the runs as each constant."""
     middle = np.median([fit.theta for fit in structure.each], axis=0)
     pairs = zip(structure.names, middle.tolist(), strict=True)
-    put = {sympy.Symbol(name): sympy.Float(value or 1.0) for name, value in pairs}
+    put = _as_symbols({name: value or 1.0 for name, value in pairs})
     return {s: e.xreplace(put) for s, e in structure.equations.items()}
 
 
@@ -657,9 +657,12 @@ def write_answer(study: Study, law: Law, names: Sequence[str]) -> Answer:
     order, reach = list(mixed.names()), fit.reach
     varied = mixed.varied
 
-    def put(theta: np.ndarray) -> dict[str, sympy.Expr]:
+    def shared(theta: np.ndarray) -> dict[str, float]:
         pairs = zip(order, theta.tolist(), strict=True)
-        numbers = {sympy.Symbol(n): sympy.Float(v) for (n, _), v in pairs if n not in varied}
+        return {name: value for (name, _), value in pairs if name not in varied}
+
+    def put(theta: np.ndarray) -> dict[str, sympy.Expr]:
+        numbers = _as_symbols(shared(theta))
         return {s: tidy(e.xreplace(numbers)) for s, e in mixed.equations.items()}
 
     def constants(theta: np.ndarray) -> dict[str, np.ndarray]:
@@ -690,11 +693,8 @@ def write_answer(study: Study, law: Law, names: Sequence[str]) -> Answer:
         )
         for name in varied
     }
-    numbers = {
-        sympy.Symbol(n): sympy.Float(v)
-        for (n, _), v in zip(order, fit.theta.tolist(), strict=True)
-        if n not in varied
-    }
+    known = shared(fit.theta)
+    numbers = _as_symbols(known)
     by_run = RunParameters(
         tuple(names),
         differing,
@@ -704,10 +704,13 @@ def write_answer(study: Study, law: Law, names: Sequence[str]) -> Answer:
         {name: way for name in varied if (way := study.called(mixed.groups[name]))},
     )
     equations = put(fit.theta)
-    known = {n: v for (n, _), v in zip(order, fit.theta.tolist(), strict=True) if n not in varied}
     fresh = _fresh([*mixed.groups, *law.said], study.columns)
     called = {state: _call(expr, known, fresh) for state, expr in equations.items()}
     return Answer(equations, errors, called, reach, by_run)
+
+
+def _as_symbols(values: Mapping[str, float]) -> dict[sympy.Symbol, sympy.Expr]:
+    return {sympy.Symbol(name): sympy.Float(value) for name, value in values.items()}
 
 
 def _call(expr: sympy.Expr, known: Mapping[str, float], fresh: Iterator[str]) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from dynsr.fit import (
     constant_bits,
     orthogonal,
     refit,
-    skeleton,
+    same_form,
     tidy,
     unit_columns,
     with_floats,
@@ -410,7 +410,7 @@ def drift_of_rows(
     for one in lines.propose(expr, library, settings):
         other = refit(one, timed)
         squares = float(np.mean((samples.y - evaluate(other, columns)) ** 2))
-        if not math.isfinite(squares) or is_alike(other, expr):
+        if not math.isfinite(squares) or same_form(other, expr):
             continue
         gain = n / 2 * math.log2(max(least, floor**2) / max(squares, floor**2))
         gain *= _told_by_size(other, timed) if squares > floor**2 else 1.0
@@ -456,16 +456,6 @@ def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
         mine @ np.linalg.pinv(some[square], hermitian=True) @ mine for some in (plain, white)
     )
     return float(min(1.0, least / most)) if most > 0 else 1.0
-
-
-def is_alike(expr: sympy.Expr, other: sympy.Expr) -> bool:
-    """Whether two formulas differ in nothing but their constants.
-
-    Parameters
-    ----------
-    expr, other : the formulas.
-    """
-    return skeleton(with_floats(expr)) == skeleton(with_floats(other))
 
 
 def is_timed(expr: sympy.Expr, own: sympy.Expr) -> bool:

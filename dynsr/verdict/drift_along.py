@@ -16,7 +16,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from dynsr.data import robust_scale
 from dynsr.expression import evaluate
-from dynsr.fit import DEPENDENT, Flow, Shooting, cauchy_weights, orthogonal, unit_columns
+from dynsr.fit import DEPENDENT, Flow, Shooting, cauchy_weights, orthogonal, same_form, unit_columns
 from dynsr.library import Place
 from dynsr.methods import recalled
 from dynsr.verdict.alternatives import columns_along
@@ -28,7 +28,6 @@ from dynsr.verdict.drift import (
     Lines,
     TermsInTime,
     formula_bits,
-    is_alike,
     is_timed,
     say,
 )
@@ -113,7 +112,7 @@ class Along:
     def _compare(self, place: Place, expr: sympy.Expr, now: Followed) -> _Compared | None:
         """Fit a formula of a state; None where it is of the equation's form or does not follow."""
         state, own = place.state, self.equations[place.state]
-        if is_alike(expr, own):
+        if same_form(expr, own):
             return None
         fitted = self.fit({**self.equations, state: expr})
         if fitted is None:

@@ -309,7 +309,7 @@ def follow(
         if free and len(chosen) == 1:
             constants, begin[0] = _grow(chosen[0], constants, begin[0], parts)
         else:
-            closed = _close(chosen[0], constants).flow
+            closed = chosen[0].flow.closed(constants)
             begin = [
                 _grow(replace(s, flow=closed), np.empty(0), at, parts)[1]
                 for s, at in zip(chosen, begin, strict=True)
@@ -331,13 +331,6 @@ def _choose_pace(shooting: Shooting, constants: np.ndarray) -> Pace:
     return pace
 
 
-def _close(shooting: Shooting, constants: np.ndarray) -> Shooting:
-    """Put the constants' values in, so that only starts are left to be fitted."""
-    put = dict(zip(shooting.flow.constants, map(sympy.Float, constants), strict=True))
-    rhs = {state: expr.xreplace(put) for state, expr in shooting.flow.rhs.items()}
-    return replace(shooting, flow=Flow(rhs, shooting.flow.driven, ()))
-
-
 def _grow(
     shooting: Shooting, constants: np.ndarray, starts: np.ndarray, parts: Sequence[int] = _PARTS
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -348,7 +341,7 @@ def _grow(
     if np.max(np.abs(shooting.misses(constants, starts))) < _NOTHING:
         return constants, starts
     rows = len(shooting.windows.t)
-    closed = _close(shooting, constants).flow if len(constants) else shooting.flow
+    closed = shooting.flow.closed(constants) if len(constants) else shooting.flow
     losses = ("linear", "soft_l1") if len(parts) > 1 else ("soft_l1",)
     for part in dict.fromkeys(max(min(rows, FEWEST_ROWS), rows // share) for share in parts):
         some = first_rows(shooting, part)
