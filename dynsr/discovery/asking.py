@@ -61,11 +61,6 @@ def settle(settings: SelectionSettings, demands: Demands) -> SelectionSettings:
 def check_must(demands: Demands, runs: Sequence[Trajectory]) -> Demands:
     """Give the demands; refuse a term that must be in an equation and is finite at no row.
 
-    Parameters
-    ----------
-    demands : what is asked.
-    runs : the data.
-
     >>> run = Trajectory(np.arange(3.0), np.ones((3, 1)), ("x",))
     >>> check_must(Demands(must=(("x", sympy.log(sympy.Symbol("x") - 5)),)), [run])
     Traceback (most recent call last):
@@ -104,11 +99,6 @@ def ask_methods(
 
 def searched_states(states: Sequence[str], demands: Demands) -> tuple[str, ...]:
     """Give the targets whose equations are searched: those that conservation gives are not.
-
-    Parameters
-    ----------
-    states : the targets.
-    demands : what is asked.
 
     Raises InputError when the equation of a target follows from one that is no target, or a term
     must occur in an equation that is not searched.

@@ -89,13 +89,6 @@ def on_every_row(
 ) -> Discovery:
     """Fit the constants to all rows in one pass, and test whether the equations hold in all.
 
-    Parameters
-    ----------
-    found : what was found on windows.
-    runs : all rows.
-    windows : which of them were searched.
-    settings : the numbers that decide.
-
     Where nothing was found, or equations have delays or are maps, the constants stay those of the
     windows. ``settings["windows"]`` of the result says which rows they are, and what all rows say.
     """

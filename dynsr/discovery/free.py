@@ -105,10 +105,6 @@ T = TypeVar("T")
 def check_free(options: Options) -> bool:
     """Give whether known equations have free functions; refuse options that do not go with them.
 
-    Parameters
-    ----------
-    options : of the call.
-
     Raises InputError that names the option.
     """
     if not has_free(options.known):
@@ -339,12 +335,7 @@ class _Study:
         return tuple(zip(columns[part.of][some].tolist(), values[some].tolist(), strict=True))
 
     def simplified(self, answer: _Answer) -> tuple[_Answer, dict[sympy.Symbol, sympy.Expr]]:
-        """Give the answer with simple numbers for constants where the data allow all of them.
-
-        Parameters
-        ----------
-        answer : the answer with fitted numbers.
-        """
+        """Give the answer with simple numbers for constants where the data allow all of them."""
         fitting = self.settings.selection.fit
         names = [sympy.Symbol(name) for name in answer.system.constants]
         numbers = simple_numbers(_Estimate(answer), [None] * len(names), fitting)

@@ -43,13 +43,7 @@ class FreeModel:
     notes: tuple[str, ...] = ()
 
     def contains(self, state: str, part: Part) -> bool:
-        """Whether the equation of a state contains a function.
-
-        Parameters
-        ----------
-        state : the state.
-        part : the function.
-        """
+        """Whether the equation of a state contains a function."""
         return part.symbol in self.equations[state].free_symbols
 
 

@@ -198,10 +198,6 @@ class Options:
     def says(self, name: str) -> bool:
         """Whether an option says anything but what it says by default.
 
-        Parameters
-        ----------
-        name : of the option.
-
         >>> asked = Options(known={}, order=1, terms=["x*y"])
         >>> [asked.says(name) for name in ("known", "order", "terms")]
         [False, False, True]

@@ -836,10 +836,6 @@ def _of_one_form(one: sympy.Expr, other: sympy.Expr) -> bool:
 def found_by(source: str) -> str:
     """Say in a sentence what found a formula.
 
-    Parameters
-    ----------
-    source : of a candidate.
-
     >>> found_by("rational")
     ' Found by rational.'
     """

@@ -28,12 +28,7 @@ _MOST_BITS = 1e9
 
 
 def say_data(runs: Sequence[Trajectory]) -> str:
-    """Give what identifies the data of a discovery: rows, names and a digest.
-
-    Parameters
-    ----------
-    runs : the trajectories.
-    """
+    """Give what identifies the data of a discovery: rows, names and a digest."""
     limits = [[s, own.below, own.above] for run in runs for s, own in run.limits.items()]
     digest = fingerprint([*([run.t, run.columns, run.names] for run in runs), *limits])
     return f"{sum(map(len, runs))} rows of {', '.join(runs[0].names)}, {digest}"

@@ -2016,11 +2016,6 @@ def with_profiles(found: Discovery, settings: ProfileSettings) -> Discovery:
 
     Slopes of exact data leave no doubt of the parabola, and what is no equation of the data has no
     constants to be sure of: those stay as they are.
-
-    Parameters
-    ----------
-    found : a discovery with its data.
-    settings : the numbers that decide.
     """
     judged = found.verdict.tested and found.verdict.level != NOT_FOUND
     if (

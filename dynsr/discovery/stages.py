@@ -104,13 +104,7 @@ from dynsr.verdict import ENGINES, LAW, NOBODY, Verdict, explain, name_engines, 
 
 
 def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
-    """Search the equations of trajectories in their own units, all with one set of constants.
-
-    Parameters
-    ----------
-    data : the trajectories.
-    asked : what is asked of them.
-    """
+    """Search the equations of trajectories in their own units, all with one set of constants."""
     began = monotonic()
     jobs = check_jobs(asked.jobs)
     chosen, workers = find_engine(asked.engine), effective_n_jobs(jobs)

@@ -482,24 +482,13 @@ def give_turns(
 
 
 def cut_notes(searched: Sequence[Found], state: str) -> str:
-    """Say which searches of a state the time budget ended; "" where it ended none.
-
-    Parameters
-    ----------
-    searched : the records of all searches.
-    state : whose equation was searched.
-    """
+    """Say which searches of a state the time budget ended; "" where it ended none."""
     names = [found.method for found in searched if found.target == state and found.cut]
     return f" The time budget ended {', '.join(names)} early." if names else ""
 
 
 def cut_tasks(records: Sequence[Found | Choice]) -> list[str]:
-    """Give the names of the tasks that the time budget ended.
-
-    Parameters
-    ----------
-    records : of searches and choices.
-    """
+    """Give the names of the tasks that the time budget ended."""
     names = []
     for record in records:
         if record.cut:

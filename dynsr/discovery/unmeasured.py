@@ -76,12 +76,7 @@ def refuse_hidden(names: Iterable[str], what: str) -> None:
 
 
 def number_runs(runs: Sequence[Trajectory]) -> list[Trajectory]:
-    """Give runs that know which one each of them is, for :func:`with_columns`.
-
-    Parameters
-    ----------
-    runs : trajectories of the same columns.
-    """
+    """Give runs that know which one each of them is, for :func:`with_columns`."""
     return [replace(r, origin={**r.origin, _RUN: number}) for number, r in enumerate(runs)]
 
 

@@ -56,10 +56,6 @@ class Stepped:
         """Give a discovery whose record and explanation have the steps, and warn of them.
 
         What bends between rows because of a delay of the input is no such step.
-
-        Parameters
-        ----------
-        found : in these runs.
         """
         delayed = {delay.state for delay in found.delays.values()}
         if self.steps is None or delayed & {*self.steps.inputs}:

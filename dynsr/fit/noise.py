@@ -132,12 +132,7 @@ def noise_and_spread(runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray
 
 
 def spread_of(runs: Sequence[Trajectory]) -> np.ndarray:
-    """(k,) scale of each state where it was measured, or of its curve if nowhere.
-
-    Parameters
-    ----------
-    runs : trajectories of the same columns.
-    """
+    """(k,) scale of each state where it was measured, or of its curve if nowhere."""
     found = []
     for place in range(len(runs[0].states)):
         seen = np.concatenate([run.x[run.measured[:, place], place] for run in runs])

@@ -545,12 +545,7 @@ def _symbols(template: str) -> tuple[str, ...]:
 
 
 def read_corpus(text: str) -> Iterator[tuple[str, dict[str, sympy.Expr]]]:
-    """Give name and equations of the systems of a corpus; constants become floats.
-
-    Parameters
-    ----------
-    text : the blocks.
-    """
+    """Give name and equations of the systems of a corpus; constants become floats."""
     for block in re.split(r"\n\s*\n", text):
         lines = [line for line in block.splitlines() if line and not line.startswith("#")]
         if not lines:

@@ -536,13 +536,7 @@ class _Trial:
         return float(np.average(np.minimum(each, settings.enough), weights=weights))
 
     def refine(self, own: _Tried, settings: SuggestionSettings) -> _Tried:
-        """Fit each system to what the other does, where before only a line was followed.
-
-        Parameters
-        ----------
-        own : the experiment.
-        settings : the numbers that decide.
-        """
+        """Fit each system to what the other does, where before only a line was followed."""
         if len(self.models) == 1:
             return own
         each = tuple(

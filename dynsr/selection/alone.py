@@ -218,10 +218,5 @@ class Alone:
 
 
 def constants(expr: sympy.Expr) -> int:
-    """Count the constants of a formula that are fitted.
-
-    Parameters
-    ----------
-    expr : the formula.
-    """
+    """Count the constants of a formula that are fitted."""
     return len(free_constants(expr, "c")[1])

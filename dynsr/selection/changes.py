@@ -29,13 +29,7 @@ _LIKE_ONE, _KNOWN = 2.0, 0.3
 
 
 def without_constant(expr: sympy.Expr, value: float) -> sympy.Expr | None:
-    """Give an equation with a constant at 0; None where it lacks that constant or its value.
-
-    Parameters
-    ----------
-    expr : the equation.
-    value : the constant.
-    """
+    """Give an equation with a constant at 0; None where it lacks that constant or its value."""
     lost = expr.xreplace({sympy.Float(float(value)): sympy.S.Zero})
     return None if lost == expr or lost.has(sympy.zoo, sympy.nan) else lost
 
@@ -45,10 +39,6 @@ def least_sure(fit: SystemFit) -> np.ndarray:
 
     Without a constant of value c and standard error e the sum of squared residuals is expected to
     rise by (c / e)^2 (Wald).
-
-    Parameters
-    ----------
-    fit : the system.
     """
     with np.errstate(over="ignore"):
         ratios = np.abs(fit.fit.constants) / np.maximum(fit.fit.errors, 1e-300)
@@ -56,13 +46,7 @@ def least_sure(fit: SystemFit) -> np.ndarray:
 
 
 def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
-    """Give an equation without its least sure constant; None where nothing can go.
-
-    Parameters
-    ----------
-    fit : the system.
-    state : whose equation it is.
-    """
+    """Give an equation without its least sure constant; None where nothing can go."""
     owners, values = owners_of(fit.exprs), fit.fit.constants
     for index in least_sure(fit):
         if owners[index] == state:
@@ -77,12 +61,6 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
 
     A denominator that hardly changes is dropped before all others, and exponents become whole or
     half ones.
-
-    Parameters
-    ----------
-    comparison : fits the systems.
-    fit : the system.
-    state : whose equation loses terms.
     """
     while comparison.settings.parts.has("pruning"):
         for system in _shorter_systems(comparison, fit, state):

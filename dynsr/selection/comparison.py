@@ -465,11 +465,6 @@ def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
     """Whether the residuals of every state are its noise.
 
     The mean square of n normal residuals in units of their noise is 1, give or take sqrt(2 / n).
-
-    Parameters
-    ----------
-    fit : the system.
-    settings : the numbers that decide.
     """
     rows = fit.problem.mesh.rows
     squares = fit.fit.mean_squares - fit.fit.allowed

@@ -314,10 +314,6 @@ class _Search:
         """Add the sums of terms of the library that are expected to take the fewest bits.
 
         Ratios of terms of a joint cost as much as the most expensive of these.
-
-        Parameters
-        ----------
-        found : what is known already.
         """
         allow, others = self.limits.check, list(self.known.items())
         given = [term.as_coeff_Mul()[1] for term in self.limits.terms]
@@ -340,33 +336,18 @@ class _Search:
         return [*found, *self.take([*self.refitted(sums[:kept]), *sums[kept:]])]
 
     def rare(self, found: Sequence[_Choice]) -> list[_Choice]:
-        """Add sums with functions that hardly any law has, where slopes are exact.
-
-        Parameters
-        ----------
-        found : what is known already.
-        """
+        """Add sums with functions that hardly any law has, where slopes are exact."""
         if not self.is_exact:
             return list(found)
         sums = propose(self._evidence, self._place, self.limits.check, settings=RARE)
         return [*found, *self.take(self.refitted(sums[: self.settings.kept]))]
 
     def refitted(self, exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Fit formulas to all rows.
-
-        Parameters
-        ----------
-        exprs : the formulas.
-        """
+        """Fit formulas to all rows."""
         return [refit(expr, self.samples, self.error) for expr in exprs]
 
     def take(self, exprs: Iterable[sympy.Expr]) -> Iterator[_Choice]:
-        """Take formulas for what is chosen, where the user allows them.
-
-        Parameters
-        ----------
-        exprs : the formulas.
-        """
+        """Take formulas for what is chosen, where the user allows them."""
         own, written = self.samples, write_down(self.known.items())
         for expr in exprs:
             bodies = [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]

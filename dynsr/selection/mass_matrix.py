@@ -152,10 +152,6 @@ def _sum_up(terms: Iterable[_Term], constants: np.ndarray, factor: tuple[int, in
 def read_ratio(expr: sympy.Expr) -> Ratio | None:
     """Read a formula as a fraction with one wave of an angle in the denominator; else None.
 
-    Parameters
-    ----------
-    expr : the formula.
-
     >>> w, F = sympy.symbols("w F")
     >>> found = read_ratio((1.5 * F * sympy.cos(w) - 9.81 * sympy.sin(w)) / (2 - sympy.cos(w) ** 2))
     >>> found.main, found.degree, len(found.above)
@@ -277,12 +273,7 @@ def _places(exprs: Mapping[str, sympy.Expr], constants: np.ndarray) -> dict[str,
 
 
 def slope_of(state: str) -> sympy.Symbol:
-    """Give what stands for the left side of an equation.
-
-    Parameters
-    ----------
-    state : whose equation it is.
-    """
+    """Give what stands for the left side of an equation."""
     return sympy.Symbol(f"slope of {state}")
 
 

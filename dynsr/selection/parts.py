@@ -60,11 +60,6 @@ class Parts:
                 raise InputError(f"unknown part {name!r}; the parts are: {', '.join(PARTS)}")
 
     def has(self, name: str) -> bool:
-        """Whether a part takes part.
-
-        Parameters
-        ----------
-        name : of PARTS.
-        """
+        """Whether a part takes part."""
         assert name in PARTS, name
         return name not in self.off

@@ -755,11 +755,6 @@ def cited_terms(exprs: Iterable[sympy.Expr], state: str) -> list[sympy.Expr]:
     These are the terms themselves, and those with which this state slows itself down as another one
     does, such as friction.
 
-    Parameters
-    ----------
-    exprs : the equations.
-    state : whose equation is proposed.
-
     >>> x, y = sympy.symbols("x y")
     >>> [str(term) for term in cited_terms([0.5 * x - 0.3 * x * sympy.Abs(x - y)], "y")]
     ['x', 'x*Abs(x - y)', 'y*Abs(x - y)']

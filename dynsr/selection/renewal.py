@@ -23,14 +23,7 @@ from dynsr.selection.rates import fluxes
 
 
 def renewals(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
-    """Give the equations that are expected to do best in the place of one.
-
-    Parameters
-    ----------
-    comparison : fits the systems.
-    fit : the system.
-    state : whose equation is proposed again.
-    """
+    """Give the equations that are expected to do best in the place of one."""
     own = fit.exprs[state]
     others = {s: expr for s, expr in fit.exprs.items() if s != state}
     # What is far from a law is no start for one.
@@ -57,13 +50,7 @@ def _propose(
 
 
 def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
-    """Propose each equation of a system again and take the best, until that saves less than a bit.
-
-    Parameters
-    ----------
-    comparison : fits the systems.
-    best : the system.
-    """
+    """Propose each equation of a system again; take the best until that saves less than a bit."""
     settings, mesh = comparison.settings, comparison.mesh
     # What does not change says nothing of an equation.
     left, right = mesh.ends
@@ -102,12 +89,6 @@ def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[symp
 
     All are fitted. Where one equation of two bodies is wrong, it biases the states, and along these
     the permuted equation looks much worse than it is.
-
-    Parameters
-    ----------
-    comparison : fits the systems.
-    fit : the system.
-    state : whose equation is proposed again.
     """
     found = {
         skeleton(expr): expr

@@ -14,10 +14,6 @@ _PLAIN = 4
 def wide_factors(body: sympy.Expr) -> list[sympy.Expr]:
     """Give the shapes of the functions of several columns, and powers of their sums, in a term.
 
-    Parameters
-    ----------
-    body : the term.
-
     >>> x, y = sympy.symbols("x y")
     >>> wide_factors(x**2 * sympy.exp(y) * abs(x - y))
     [Abs(x - y)]
@@ -46,21 +42,12 @@ def bodies_of(expr: sympy.Expr) -> list[sympy.Expr]:
 
 
 def bare_terms(expr: sympy.Expr) -> set[sympy.Expr]:
-    """Give the shapes of the terms of a sum, without their coefficients.
-
-    Parameters
-    ----------
-    expr : the sum.
-    """
+    """Give the shapes of the terms of a sum, without their coefficients."""
     return set(map(skeleton, bodies_of(expand_terms(expr))))
 
 
 def rounded(expr: sympy.Expr) -> sympy.Expr:
     """Give a formula with whole numbers for the constants inside its terms that are close to one.
-
-    Parameters
-    ----------
-    expr : the formula.
 
     >>> x = sympy.Symbol("x")
     >>> rounded(2.0 * x**0.98 - sympy.tanh(1.02 * x))
@@ -76,11 +63,6 @@ def rounded(expr: sympy.Expr) -> sympy.Expr:
 
 
 def is_plain(expr: sympy.Expr) -> bool:
-    """Whether a formula is a polynomial of few terms.
-
-    Parameters
-    ----------
-    expr : the formula.
-    """
+    """Whether a formula is a polynomial of few terms."""
     few = len(sympy.Add.make_args(expr)) <= _PLAIN
     return few and bool(expr.is_polynomial(*expr.free_symbols))

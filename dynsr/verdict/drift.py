@@ -459,12 +459,7 @@ def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
 
 
 def is_timed(expr: sympy.Expr, own: sympy.Expr) -> bool:
-    """Whether a formula contains the time and the equation does not.
-
-    Parameters
-    ----------
-    expr, own : the formula and the equation.
-    """
+    """Whether a formula contains the time and the equation does not."""
     return TIME in expr.free_symbols and TIME not in own.free_symbols
 
 

@@ -237,12 +237,7 @@ class Followed:
         return np.concatenate([s.told.transpose(2, 0, 1).reshape(-1) for s in self.shootings])
 
     def lanes(self, place: int) -> list[np.ndarray]:
-        """Give the residuals of one state (rows, W) at its measurements, window by window.
-
-        Parameters
-        ----------
-        place : that of the state.
-        """
+        """Give the residuals of one state (rows, W) at its measurements, window by window."""
         found = []
         for shooting, z in zip(self.shootings, self.misses, strict=True):
             own = shooting.told[:, place]

@@ -117,11 +117,6 @@ def measure_step_errors(
     The errors are those of ordinary least squares on one step: right for noise in the motion
     itself. Noise of the measurement alone is in both sides of a step and makes them too small.
 
-    Parameters
-    ----------
-    expr : the right-hand side.
-    samples : pairs of rows.
-
     >>> x = np.linspace(0, 1, 50)
     >>> pairs = Samples(x[:, None], 3 * x + 0.1 * np.cos(60 * x), ("x",), "x", "given", x)
     >>> tripling = sympy.Float(3) * sympy.Symbol("x")
