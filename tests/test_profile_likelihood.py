@@ -103,6 +103,23 @@ def test_on_a_parabola_profile_and_standard_error_agree(noise):
     assert found.with_profiles().profiled == {}
 
 
+@pytest.mark.slow
+def test_equations_that_do_not_follow_the_data_have_no_profiles():
+    """Lorenz' flow with one wrong equation: no fit comes to rest whose rises would say anything."""
+    t, x = solved(
+        lambda _, s: [10 * (s[1] - s[0]), s[0] * (28 - s[2]) - s[1], s[0] * s[1] - 8 / 3 * s[2]],
+        [-8.0, 8.0, 27.0],
+        8.0,
+        401,
+    )
+    x = x + 0.01 * np.std(x, axis=0) * np.random.default_rng(0).standard_normal(x.shape)
+    wrong = {"x": "9.0*y - 9.0*x", "y": "3.0*x - 5.0*y", "z": "1.1*x*y - 3.0*z"}
+    run_ = dynsr.Trajectory(t, x, ("x", "y", "z"))
+    found = Discovery({s: dynsr.parse(e) for s, e in wrong.items()}, {}, {}, {}, (run_,))
+    with pytest.raises(dynsr.InputError, match="does not come to rest"):
+        found.profile(("x", 0))
+
+
 def test_exact_data_bound_a_constant_closely():
     """Without noise the interval holds the truth and is narrower than a thousandth of it."""
     t, x = solved(lambda _, s: SPEED * s / (HALF + s), [0.5], 8.0, 60)

@@ -154,7 +154,13 @@ class Profiles:
             raise InputError(
                 "the equations cannot be fitted along these data; their slopes diverge"
             )
-        return cls(equations, Profiling.of(fit, settings), rule, fixed)
+        profiling = Profiling.of(fit, settings)
+        if not profiling.rests:
+            raise InputError(
+                "the fit of these equations along the data does not come to rest, as they do not "
+                "follow the data; their constants have no profiles"
+            )
+        return cls(equations, profiling, rule, fixed)
 
     @property
     def places(self) -> list[tuple[str, int, int]]:
@@ -283,7 +289,11 @@ def _fit_finely(
         moved = np.abs(again.constants - fit.constants)
         if np.all(moved <= settings.hidden * fit.errors):
             return fit, np.zeros_like(rule)
+        # The error of the rule falls with each halving; what does not is none of it.
+        grows = bool(rule.any() and np.any(moved > np.maximum(rule, settings.hidden * fit.errors)))
         fit, rule = again, moved
+        if grows:
+            break
     return fit, rule
 
 
