@@ -442,3 +442,23 @@ def test_what_is_said_of_a_hidden_state_names_its_law():
     said = describe_hidden("y", -X * Y, {"x": 2.0 * X - X * Y, "y": -3.0 * Y})
     assert "so that x' contains -x*y" in said
     assert "x'' = 6*x - 3*x' + x'**2/x" in said
+
+
+@pytest.mark.slow
+def test_noise_around_0_hides_no_factor_of_a_hidden_state():
+    """An epidemic of which few are ill first and last: 5 % of noise takes some rows below 0.
+
+    Those who may fall ill are hidden, and multiplied with those who are. Without that product
+    another system followed as well and was called a law.
+    """
+    pair = follow(
+        lambda t, z: [0.6 * z[0] * z[1] - 0.2 * z[0], -0.6 * z[0] * z[1]], [0.01, 1.5], 40, 201
+    )
+    data = see(pair, 0.05, 1, ("I",))
+    assert np.sum(data.x < 0) > 5
+    found = discover(data, hidden="S", preset="quick", jobs=1)
+    i, s = sympy.symbols("I S")
+    shapes = {name: set(expr.as_coefficients_dict()) for name, expr in found.equations.items()}
+    assert shapes == {"I": {i * s, i}, "S": {i * s}}
+    assert found.verdict.level == "law"
+    assert found.equations["S"].coeff(i * s) == pytest.approx(-0.6, rel=0.1)

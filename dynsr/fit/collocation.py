@@ -86,6 +86,8 @@ class Mesh:
     mix : (k, k) what was measured in the place of each state, as a combination of all of them; None
         where each was measured itself.
     censored : the cells in which only a limit is known, whose weight is 0; None for none.
+    sizes : (n, k) sizes of states that nobody measured, of which their defects are shares; the
+        spread of each where that is smaller, and by default.
     """
 
     t: np.ndarray
@@ -99,6 +101,7 @@ class Mesh:
     known: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=bool))
     mix: np.ndarray | None = None
     censored: Censored | None = None
+    sizes: np.ndarray | None = None
 
     def seen(self, states: np.ndarray) -> np.ndarray:
         """Give what is measured (k, n) of states (k, n)."""
@@ -133,7 +136,8 @@ class Mesh:
                 # Between measured rows noise is what it is around them.
                 deviation[:, j] = np.interp(nodes, rows, 1 / own[rows])
             else:
-                deviation[:, j] = _UNMEASURED * self.spread[j]
+                sizes = np.inf if self.sizes is None else self.sizes[:, j]
+                deviation[:, j] = _UNMEASURED * np.minimum(sizes, self.spread[j])
         smaller: np.ndarray = np.minimum(deviation[self.left], deviation[self.left + 1])
         return smaller
 

@@ -18,8 +18,9 @@ from itertools import chain, combinations
 import numpy as np
 import sympy
 
+from dynsr.data import SmoothedTrajectory, Trajectory, scale_of
 from dynsr.expression import differentiate, evaluate, expand_terms
-from dynsr.fit import CollocationSettings, Measurements, skeleton
+from dynsr.fit import CollocationSettings, Measurements, Mesh, skeleton
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
 from dynsr.selection.changes import prune
@@ -30,6 +31,7 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
 )
+from dynsr.selection.rates import SIGMA
 from dynsr.selection.renewal import renew
 from dynsr.selection.shapes import bare_terms, rounded
 from dynsr.selection.terms import products
@@ -108,6 +110,18 @@ class Coupling:
         """
         rest = expand_terms(expr) - self.term
         return self.symbol not in expand_terms(rest).free_symbols
+
+    def sized(self, mesh: Mesh) -> Mesh:
+        """Give a mesh in which the hidden state is followed as closely as its term asks for.
+
+        Where the factor of the hidden state is large, a small part of it moves the state that
+        shows it.
+        """
+        factor = np.abs(np.broadcast_to(evaluate(self.body, mesh.columns), len(mesh.t)))
+        place, sizes = mesh.states.index(self.name), np.full(mesh.start.shape, np.inf)
+        term = scale_of(factor * mesh.start[:, place])
+        sizes[:, place] = np.divide(term, factor, out=sizes[:, place], where=factor > 0)
+        return replace(mesh, sizes=sizes)
 
     def rest(self, exprs: Mapping[str, sympy.Expr]) -> sympy.Expr:
         """Give the equation of the state without this term."""
@@ -333,13 +347,15 @@ def _bodies(
     data: Measurements, state: str, comparison: ComparisonSettings, settings: HiddenSettings
 ) -> list[sympy.Expr]:
     """Give what the hidden state may be multiplied with: products that keep one sign."""
-    names, pairs = data.runs[0].names, list(zip(data.runs, data.smoothed, strict=True))
-    columns = {
-        n: np.concatenate([np.column_stack([s.x, r.inputs])[:, i] for r, s in pairs])
-        for i, n in enumerate(names)
-    }
+    names = data.runs[0].names
+    signs = np.concatenate([_signs(*pair) for pair in zip(data.runs, data.smoothed, strict=True)])
     # Between rows of different signs a column is 0, and nothing is seen of what it multiplies.
-    one_signed = {n for n, own in columns.items() if np.all(own > 0) or np.all(own < 0)}
+    driven = set(data.runs[0].input_names)
+    one_signed = {
+        name
+        for name, own in zip(names, signs.T, strict=True)
+        if len({*own} - {0.0}) == 1 and not (name in driven and 0.0 in own)
+    }
     allow = comparison.demands.limits(state).allow
     found = [
         body
@@ -371,8 +387,19 @@ def first_curve(
         columns = dict(zip(run.names, np.column_stack([own.x, run.inputs]).T, strict=True))
         columns["t"] = run.t
         slope = own.slope[:, run.index(coupling.state)] - evaluate(rest, columns)
-        curves.append(slope / (float(coupling.sign) * evaluate(coupling.body, columns)))
+        used = [name in coupling.body.free_symbols for name in map(sympy.Symbol, run.names)]
+        sure = np.all(_signs(run, own)[:, used] != 0, axis=1)
+        factor = float(coupling.sign) * evaluate(coupling.body, columns)
+        # Where a factor may be 0 nothing is seen of what it multiplies.
+        curves.append(np.interp(run.t, run.t[sure], (slope / factor)[sure]))
     return data.with_hidden(coupling.name, curves)
+
+
+def _signs(run: Trajectory, smoothed: SmoothedTrajectory) -> np.ndarray:
+    """Give the signs (n, columns) of states and inputs; 0 where noise leaves a sign open."""
+    values = np.column_stack([smoothed.x, run.inputs])
+    errors = np.column_stack([smoothed.x_sd, np.zeros_like(run.inputs)])
+    return np.where(np.abs(values) > SIGMA * errors, np.sign(values), 0.0)
 
 
 def _by_inputs(data: Measurements, state: str) -> sympy.Expr:
@@ -403,7 +430,7 @@ def _begin(
     curves, best = first_curve(data, coupling, {coupling.state: own_equation}), None
     # A system that follows the data gives a better curve than slopes do.
     for _ in range(comparison.again):
-        mesh = curves.mesh((coupling.state, coupling.name))
+        mesh = coupling.sized(curves.mesh((coupling.state, coupling.name)))
         own = HiddenComparison(mesh, comparison, curves.runs[0].states, coupling=coupling)
         alone = Alone(coupling.name, {coupling.state: own_equation}, own)
         alone.rank(alone.propose())
@@ -421,7 +448,7 @@ def _finish(begun: HiddenFit, settings: HiddenSettings) -> HiddenFit:
     comparison, fit = begun.comparison, begun.fit
     others = [s for s in names if s not in fit.exprs]
     if others:
-        mesh, own = begun.data.mesh(names), comparison.settings
+        mesh, own = begun.coupling.sized(begun.data.mesh(names)), comparison.settings
         exprs = {**fit.exprs, **{s: _equation_of(s, _alone(s, begun.data, own)) for s in others}}
         exprs = {s: exprs[s] for s in names}
         comparison = HiddenComparison(mesh, own, coupling=begun.coupling)
