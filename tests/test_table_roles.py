@@ -378,6 +378,17 @@ def test_quantities_within_runs_and_with_units():
     assert table.trajectories[0].origin["units"] == {"S": "g/L", "P": "mol"}
 
 
+@pytest.mark.parametrize("codes", [("0x1A0", "0x2B4"), (416.0, 692.0)])
+def test_what_each_quantity_has_once_names_no_runs(codes):
+    """The number of a signal on a bus says no more than its name, at times of its own too."""
+    data = long_table("signal", ["speed", "throttle"], unit={"speed": "km/h", "throttle": "%"})
+    data["address"] = np.repeat(np.array(codes, dtype=object), N)
+    data.loc[N:, "hours"] += 0.1
+    run = one(data)
+    assert run.states == ("speed", "throttle") and len(run) == 2 * N
+    assert np.array_equal(run.observed[np.isfinite(run.observed[:, 0]), 0], DECAY)
+
+
 def test_what_all_quantities_share_is_no_quantity_and_errors_go_with_theirs():
     """An input that is the same for all at a time stays a column; an sd becomes that of each."""
     data = long_table("variable", ["S", "P"])

@@ -49,12 +49,14 @@ class Long:
     values : the columns of numbers.
     labels : the columns that name runs.
     unit : the column of the unit that goes with the quantity; None where there is none.
+    again : the columns that only say again which quantity it is, such as its number.
     """
 
     quantity: str
     values: tuple[str, ...]
     labels: tuple[str, ...]
     unit: str | None = None
+    again: tuple[str, ...] = ()
 
 
 def find_quantity(
@@ -86,8 +88,11 @@ def find_quantity(
         if not 2 <= count <= _MOST or is_label_name(name) or count * 5 > len(time.values):
             continue
         unit = look.unit_of(name, texts)
-        others = look.labels(name, unit, texts, candidates) if labels is None else list(labels)
-        numbers = look.numbers([n for n in candidates if n not in others], others)
+        again = [n for n in look.of_each(name, candidates) if n not in (unit, *(labels or ()))]
+        own = [n for n in candidates if n not in again]
+        named = look.labels(name, unit, texts, candidates) if labels is None else list(labels)
+        others = [n for n in named if n not in again]
+        numbers = look.numbers([n for n in own if n not in others], others)
         measured = [n for n in numbers if not is_error_name(n)]
         wanted = states is not None and set(states) <= set(look.keys(name))
         strong = bool(_QUANTITY.fullmatch(bare_name(name))) or unit is not None or wanted
@@ -96,9 +101,9 @@ def find_quantity(
         # What is called a quantity may have times of its own.
         if not (look.share_times(name, others) or (strong and look.is_once(name, others))):
             continue
-        found = Long(name, tuple(numbers), tuple(others), unit)
+        found = Long(name, tuple(numbers), tuple(others), unit, tuple(again))
         strong |= labels is not None and not look.apart(others)
-        kind = _KIND.fullmatch(bare_name(name)) and not others
+        kind = _KIND.fullmatch(bare_name(name)) and not named
         codes = all(_CODE.fullmatch(key) for key in set(look.keys(name)))
         if strong or (kind and not codes):
             return found, ""
@@ -129,14 +134,16 @@ def describe_long(
     look = _Look(columns, time)
     texts = [n for n in candidates if n != quantity and is_text(look.values(n))]
     unit = look.unit_of(quantity, texts)
+    again = [n for n in look.of_each(quantity, candidates) if n not in (unit, *(labels or ()))]
     others = look.labels(quantity, unit, texts, candidates) if labels is None else list(labels)
-    numbers = look.numbers([n for n in candidates if n not in (quantity, *others)], others)
+    others = [n for n in others if n not in again]
+    numbers = look.numbers([n for n in candidates if n not in (quantity, *others, *again)], others)
     if not numbers:
         raise InputError(
             f"{columns.label} has no column of numbers in addition to the quantity {quantity!r}; "
             "name another column"
         )
-    return Long(quantity, tuple(numbers), tuple(others), unit)
+    return Long(quantity, tuple(numbers), tuple(others), unit, tuple(again))
 
 
 def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarray]:
@@ -171,7 +178,7 @@ def widen(columns: Columns, time: Times, long: Long) -> tuple[Columns, np.ndarra
         order = np.lexsort([time.values[first], runs[first]])
     place = np.argsort(order)[place.reshape(-1)]
     rows = first[order]
-    dropped = {long.quantity, *long.values, *([long.unit] if long.unit else [])}
+    dropped = {long.quantity, *long.values, *long.again, *([long.unit] if long.unit else [])}
     kept = [n for n in columns.names if n not in dropped]
     names, values = list(kept), [look.values(n)[rows] for n in kept]
     units = {n: u for n, u in columns.units.items() if n not in dropped}
@@ -232,16 +239,17 @@ class _Look:
 
     def unit_of(self, quantity: str, texts: Sequence[str]) -> str | None:
         """Give the column that has one value for each quantity and is called a unit."""
+        called = [n for n in texts if n != quantity and _UNIT.fullmatch(bare_name(n))]
+        return next((n for n in called if self._has_one_each(quantity, n)), None)
+
+    def of_each(self, quantity: str, names: Sequence[str]) -> list[str]:
+        """Give the columns that have one value for each quantity, and not the same for all."""
+        found = [n for n in names if n != quantity and len(set(self.keys(n))) > 1]
+        return [n for n in found if self._has_one_each(quantity, n)]
+
+    def _has_one_each(self, quantity: str, name: str) -> bool:
         keys = self.keys(quantity)
-        for name in texts:
-            pairs = set(zip(keys, self.keys(name), strict=True))
-            if (
-                name != quantity
-                and _UNIT.fullmatch(bare_name(name))
-                and len(pairs) == len(set(keys))
-            ):
-                return name
-        return None
+        return len(set(zip(keys, self.keys(name), strict=True))) == len(set(keys))
 
     def labels(
         self, quantity: str, unit: str | None, texts: Sequence[str], candidates: Sequence[str]
