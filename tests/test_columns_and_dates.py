@@ -151,6 +151,32 @@ def test_dates_as_text(tmp_path, form):
     assert np.array_equal(run.t, np.arange(60)) and run.time_unit == "days"
 
 
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("%y%b%d", "date"), ("%d-%b-%y", "date"), ("%Y%b%d", "date"), ("%d%b%Y:%H:%M", "date"),
+     ("%y%b%d", "YYMMMDD")],
+)  # fmt: skip
+def test_a_month_by_its_name_may_be_between_a_day_and_a_year(form, name):
+    """11MAR14 is of 2011 where the dates rise so, or where the name of the column says it."""
+    days = pd.date_range("2011-03-14", periods=11 if name != "date" else 60)
+    dates = np.array([day.strftime(form).upper() for day in days])
+    table = read_trajectories({name: dates, "x": DECAY[: len(days)]})
+    (run,) = table.trajectories
+    assert np.array_equal(run.t, np.arange(len(days))) and run.time_unit == "days"
+    assert table.description.time.begins == "2011-03-14"
+
+
+def test_a_day_or_a_year_before_a_month_is_said():
+    """Where both rise the first number is the day, and a note says how one of them was read."""
+    dates = np.array([f"{day}-Mar-14" for day in range(10, 22)])
+    table = read_trajectories({"date": dates, "x": DECAY[:12]})
+    assert table.trajectories[0].time_unit == "days"
+    assert any("'10-Mar-14', which was read as 2014-03-10" in note for note in table.notes)
+    dates = np.array([f"Mar{day}14" for day in range(10, 22)])
+    with pytest.raises(InputError, match="dates such as 2024-12-31"):
+        read_trajectories({"date": dates, "x": DECAY[:12]})
+
+
 def test_dates_that_may_be_read_in_two_ways_are_refused():
     """Nobody guesses whether 01/02/2024 is in January."""
     dates = [f"{day:02d}/{day % 12 + 1:02d}/2024" for day in range(1, 12)]

@@ -103,6 +103,11 @@ _FULL = re.compile(
 _MONTH_AND_NUMBER = re.compile(
     r"(?:(?P<before>\d{1,2})[\s./-]+)?(?P<month>[^\W\d]{3,9})\.?(?(before)|[\s./'-]+(?P<behind>\d{1,2}))"
 )
+# A month by its name between a day and a year of two digits: 14Mar11, 11-Mar-14, 14MAR2011:09:00.
+_MONTH_BETWEEN = re.compile(
+    r"(?P<first>\d{1,4})[\s./-]*(?P<month>[^\W\d]{3,9})\.?[\s./-]*(?P<last>\d{2,4})(?:[\s,:T_]+(?P<rest>\d.*))?"
+)
+_YEAR_FIRST = re.compile(r"y+[\W_]*m+[\W_]*d+.*", re.IGNORECASE)
 # Years of days without a year count from a year of 365 days.
 _NO_YEAR = 2001
 # Names that begin again when all of them have gone by, and what they are called.
@@ -516,11 +521,17 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
         months = _read_months(english)
         if months is not None:
             return months
+        between = _read_month_between(texts, name)
+        if between is not None:
+            return between
         if all(text is None or _has_month(text) for text in english):
             stamps = _attempt(
                 lambda: pandas.to_datetime(english, format="mixed", dayfirst=True, utc=True)
             )
             stamps = None if stamps is None else stamps.tz_localize(None)
+            # A year of two digits right behind a day makes a year of four.
+            far = stamps is not None and not _YEARS[0] <= stamps.year.min() <= _YEARS[1]
+            stamps = None if far else stamps
     return None if stamps is None else Moments(np.asarray(stamps))
 
 
@@ -569,6 +580,28 @@ def _read_months(texts: Sequence[str | None]) -> Moments | None:
     nowhere = np.datetime64("NaT", "ns")
     values = np.array([nowhere if text is None else by_text[text] for text in texts])
     return Moments(values, written)
+
+
+def _read_month_between(texts: Sequence[str | None], name: str) -> Moments | None:
+    """Read dates whose month is a name between the day and the year, of which either may be first.
+
+    It is the day where nothing shows it: neither that the dates rise, nor the name of the column.
+    """
+    found = [None if text is None else _MONTH_BETWEEN.fullmatch(text) for text in texts]
+    if any(text is not None and match is None for text, match in zip(texts, found, strict=True)):
+        return None
+    if not all(month_of(match["month"]) for match in found if match):
+        return None
+    numbers = [
+        m and f"{m['first']}.{month_of(m['month'])}.{m['last']} {m['rest'] or ''}".strip()
+        for m in found
+    ]
+    orders = ("ymd",) if _YEAR_FIRST.fullmatch(name) else ("dmy", "ymd")
+    stamps, shown = _read_stamps(numbers, orders), ""
+    if stamps is None and (stamps := _read_stamps(numbers, orders[:1])) is not None:
+        row = next(i for i, text in enumerate(texts) if text is not None)
+        shown = f"dates such as {texts[row]!r}, which was read as {str(stamps[row])[:10]}"
+    return None if stamps is None else Moments(stamps, shown)
 
 
 def _month_and_number(found: re.Match[str]) -> tuple[int, int]:
@@ -681,7 +714,9 @@ def _seconds_of(match: re.Match[str]) -> float:
     return 3600.0 * hours + 60.0 * minutes + seconds + fraction
 
 
-def _read_stamps(texts: Sequence[str | None]) -> np.ndarray | None:
+def _read_stamps(
+    texts: Sequence[str | None], allowed: Sequence[str] = ("dmy", "mdy", "ymd")
+) -> np.ndarray | None:
     """Read dates of three numbers, with a clock or without, in the one order that they allow."""
     found = [None if text is None else _STAMP.fullmatch(text) for text in texts]
     if any(text is not None and match is None for text, match in zip(texts, found, strict=True)):
@@ -702,7 +737,7 @@ def _read_stamps(texts: Sequence[str | None]) -> np.ndarray | None:
         # Nobody writes the month first between points.
         orders = [o for o in orders if o != "mdy" or there[0]["mark"] != "."]
     ticks = np.round(clocks * 1e9).astype("int64").astype("timedelta64[ns]")
-    read = [_as_dates(numbers, order) for order in orders]
+    read = [_as_dates(numbers, order) for order in orders if order in allowed]
     dates = _choose([days + ticks for days in read if days is not None])
     if dates is None:
         return None
