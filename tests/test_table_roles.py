@@ -830,8 +830,9 @@ def test_an_angle_that_goes_round_goes_on(turn, low):
     wrapped = (angle - low) % turn + low
     wrapped[[20, 21]] = np.nan
     for source in ({"t": t, "phi": wrapped, "y": t**2}, (t, np.column_stack([wrapped, t**2]))):
-        with pytest.warns(dynsr.errors.DynsrWarning, match="as an angle does"):
+        with pytest.warns(dynsr.errors.DynsrWarning, match="as an angle does") as said:
             (run,), _ = dynsr.data.take_trajectories(source)
+        assert ("more surely in radians" in str(said[-1].message)) == (turn == 360)
         offset = run.x[0, 0] - angle[0]
         there = run.measured[:, 0]
         assert there.sum() == 99 and np.allclose(run.x[there, 0], angle[there] + offset)
@@ -847,6 +848,8 @@ def test_what_jumps_and_is_no_angle_stays():
     noise = {f"x{k}": rng.normal(size=12) for k in range(500)}
     run = one({"t": t[:12], **noise}, states=list(noise))
     assert np.array_equal(run.x, np.column_stack(list(noise.values())))
+    weekdays = np.arange(101.0) * 2 % 7
+    assert np.array_equal(one({"t": t, "x": t**2, "d": weekdays}).x[:, 1], weekdays)
     own = dynsr.Trajectory(t, (90 * t % 360)[:, None], ("x",))
     (run,), _ = dynsr.data.take_trajectories(own)
     assert np.array_equal(run.x, own.x)

@@ -11,6 +11,9 @@ from dynsr.data.trajectory import Trajectory
 
 # A full turn in degrees and in radians.
 _TURNS = (360.0, 2 * np.pi)
+_IN_RADIANS = (
+    " It is in degrees; sin() and cos() of it are found more surely in radians: times pi/180."
+)
 # A turn seen in a column may be short of a full one by this share: by the rows next to it.
 _SHORT = 0.5
 # The step over the turn is like those next to it: at most this many times as large. No step is
@@ -51,7 +54,7 @@ def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[st
         notes.append(
             f"{state} jumps by a full turn of {turn:.4g} in {count} "
             f"{'place' if count == 1 else 'places'}, as an angle does: it was read as one that "
-            "goes on beyond it."
+            f"goes on beyond it.{_IN_RADIANS if turn == _TURNS[0] else ''}"
         )
     return found, notes
 
@@ -59,7 +62,8 @@ def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[st
 def _lie_within(pieces: Sequence[np.ndarray], turn: float) -> bool:
     """Whether all values lie within one turn, from 0 or around 0."""
     there = np.concatenate([own[np.isfinite(own)] for own in pieces])
-    if not there.size:
+    # Whole numbers from 0 to 6 are days of a week, or count.
+    if not there.size or (turn == _TURNS[1] and np.all(there % 1 == 0)):
         return False
     slack = 1e-6 * turn
     low, high = float(there.min()), float(there.max())
