@@ -463,6 +463,16 @@ def test_six_digits_are_a_year_and_a_month(name):
     assert np.array_equal(run.t, (months - months[0]).days)
 
 
+def test_a_column_that_is_no_time_by_name_is_said_where_it_is_taken_for_it():
+    """Down a profile the pressure is the first that rises, though it counts by 1."""
+    depth = np.arange(1.0, 61.0)
+    profile = {"P [dbar]": depth, "T [degC]": 4 + np.exp(-depth / 9), "S [PSU]": 35 - 9 / depth}
+    table = read_trajectories(profile)
+    assert table.roles.time == "P [dbar]" and table.trajectories[0].states == ("T", "S")
+    assert any("'P [dbar]' rises from row to row and was taken" in note for note in table.notes)
+    assert not read_trajectories({"t": depth, "x": DECAY}).notes
+
+
 def test_dates_that_are_written_in_two_ways_are_refused_as_such():
     """No other column that rises takes their place without a word."""
     days = pd.date_range("2020-01-14", periods=30, freq="30D")

@@ -28,6 +28,8 @@ from dynsr.errors import InputError, quoted
 
 _DAY, _HOUR = 86400.0, 3600.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
+# A letter T in such a unit is a temperature.
+_OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kelvin", re.IGNORECASE)
 _OTHER_TIME = re.compile(r"(t|time)_\w+", re.IGNORECASE)
 
 
@@ -317,6 +319,7 @@ class _Look:
         """Give the times by values and names."""
         names = self._columns.names
         called = [n for n in names if is_time_name(bare_name(n)) or _OTHER_TIME.fullmatch(n)]
+        called = [n for n in called if not _OF_TEMPERATURE.fullmatch(self._unit(n))]
         if not self._columns.named and not called:
             called = [names[0]]
         named = [found for n in called if (found := self._time(n)) is not None]
@@ -396,8 +399,19 @@ class _Look:
         named = [n for n in self._columns.names if n and self._values(n).dtype.kind == "f"]
         rising = [n for n in named if _rises(self._values(n))]
         one = np.zeros(len(self._columns.values[0]), dtype=int)
-        rising.sort(key=lambda n: numbers_rows(n, self._values(n), one))
-        return [found for n in rising[:1] if (found := self._time(n)) is not None]
+        # What is measured in a unit is more than a number of a row.
+        rising.sort(key=lambda n: numbers_rows(n, self._values(n), one) and not self._unit(n))
+        found = next((t for n in rising[:1] if (t := self._time(n)) is not None), None)
+        if found is None:
+            return []
+        note = (
+            f"No column is called a time; {found.name!r} rises from row to row and was taken for "
+            "it; --time names another."
+        )
+        return [replace(found, notes=(*found.notes, note))]
+
+    def _unit(self, name: str) -> str:
+        return (self._columns.units.get(name) or bracketed_unit(name)).strip()
 
     def _finest(self, times: list[Times]) -> Times:
         """Give the first of them, or one that says the same in finer steps, or with a unit."""
