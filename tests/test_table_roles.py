@@ -560,6 +560,9 @@ def levels(*values, each=6):
         ("gear", levels(1, 3, 1, 4, 2)),
         ("valve", levels(0, 1, 2, 1, 0)),
         ("PWM", np.tile([0.0, 128.0, 128.0], N)[:N]),
+        ("Current", levels(-1, 0, 1, 0, -1)),
+        ("Spannung", levels(0, 1, 2, 1, 0)),
+        ("rain_mm", np.where(np.arange(N) % 7 == 2, np.arange(N) % 11 + 0.7, 0.0)),
     ],
 )
 def test_a_column_that_holds_its_value_and_steps_is_an_input(name, values):
@@ -587,6 +590,14 @@ def test_a_column_that_holds_its_value_and_steps_is_an_input(name, values):
 def test_a_state_that_repeats_its_value_stays_a_state(values):
     """Rounding, saturation, rest and counts hold a value too, but move by one digit at a time."""
     assert states({"t": T, "y": DECAY, "z": values}) == ("y", "z")
+
+
+def test_a_voltage_that_falls_slowly_is_a_state():
+    """That of a battery is measured, to few digits, whatever its name."""
+    t = np.arange(0, 7200, 20.0)
+    volts = np.round(4.1 - 0.5 * t / 7200 - 0.1 * np.exp(-t / 100), 2)
+    names = states({"t": t, "Voltage(V)": volts, "T (C)": np.round(25 + 3 * np.sin(t / 2000), 3)})
+    assert names == ("Voltage", "T")
 
 
 def test_where_every_column_would_be_an_input_none_is():

@@ -15,9 +15,13 @@ from dynsr.data.name_parts import bare_name
 
 _SET = re.compile(
     r".*(valve|set.?point|heater|pump|relay|switch|pwm|duty|dose|dosing|on.?off|ventil|heiz|pumpe|"
-    r"soll|consign|v[áa]lvula|bomba|vanne|pompe|command|cmd|voltage|feed|inflow|current_set|"
-    r"stirrer|throttle|fan|lamp|led|spannung|tensi[óo]n).*",
+    r"soll|consign|v[áa]lvula|bomba|vanne|pompe|command|cmd|feed|inflow|"
+    r"stirrer|throttle|fan|lamp|led).*",
     re.IGNORECASE,
+)
+# What is set as often as it is measured.
+_MEASURED_TOO = re.compile(
+    r".*(voltage|spannung|tensi[óo]n|current|strom|courant|corriente).*", re.IGNORECASE
 )
 
 
@@ -37,6 +41,7 @@ class StepSettings:
     few : most values of what does, as up a stair.
     many : more values than these that follow each other smoothly are those of a slow measurement.
     smooth : half the mean squared step over the variance (von Neumann 1941) below which they do.
+    pulses : the same from which on it comes in pulses, as rain does, and rests between them.
     """
 
     repeats: float = 0.5
@@ -47,6 +52,7 @@ class StepSettings:
     few: int = 6
     many: int = 10
     smooth: float = 0.3
+    pulses: float = 0.5
 
 
 _SETTINGS = StepSettings()
@@ -57,7 +63,8 @@ def is_set(name: str, pieces: Sequence[np.ndarray], settings: StepSettings = _SE
 
     Parameters
     ----------
-    name : that of the column; one of what is set, such as a valve, needs no large steps.
+    name : that of the column; one of what is set, such as a valve, needs no large steps. Nor does a
+        voltage or a current whose values do not follow each other as those of a slow measurement.
     pieces : its values in each trajectory, in order of time; NaN where a cell is empty.
     settings : the numbers that decide.
 
@@ -78,14 +85,20 @@ def is_set(name: str, pieces: Sequence[np.ndarray], settings: StepSettings = _SE
     if still < settings.repeats * sum(map(len, steps)):
         return False
     jumps = np.concatenate([_single_steps(step) for step in steps])
-    moved = sum(float(np.sum(np.abs(step))) for step in steps)
-    if float(np.sum(jumps)) < settings.alone * moved:
-        return False
-    if _SET.fullmatch(bare_name(name)):
-        return True
-    if len(levels) > settings.many and _are_smooth(own, settings):
-        return False
     smallest = float(np.min(np.diff(levels)))
+    changes = np.abs(np.concatenate(steps))
+    if float(np.sum(jumps)) < settings.alone * float(np.sum(changes)):
+        large = np.median(changes[changes > 0]) >= (settings.large - 1e-6) * smallest
+        return bool(large and _roughness(own) >= settings.pulses)
+    both_ways = np.array_equal(levels, levels[-1] * np.array([-1.0, 0.0, 1.0]))
+    if both_ways or _SET.fullmatch(bare_name(name)):
+        return True
+    rough = _roughness([v[np.flatnonzero(np.diff(v, prepend=np.nan) != 0)] for v in own])
+    often = len(levels) <= settings.few or rough >= settings.smooth
+    if often and _MEASURED_TOO.fullmatch(bare_name(name)):
+        return True
+    if len(levels) > settings.many and rough < settings.smooth:
+        return False
     if float(np.median(jumps)) >= (settings.large - 1e-6) * smallest:
         return True
     if smallest < (settings.coarse - 1e-6) * last_digit(levels):
@@ -164,8 +177,8 @@ def _single_steps(steps: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(steps)[moves[1:-1] & ~moves[:-2] & ~moves[2:]])
 
 
-def _are_smooth(own: Sequence[np.ndarray], settings: StepSettings) -> bool:
-    levels = [values[np.flatnonzero(np.diff(values, prepend=np.nan) != 0)] for values in own]
-    steps = sum(float(np.sum(np.diff(piece) ** 2)) for piece in levels)
-    squares = sum(float(np.sum((piece - np.mean(piece)) ** 2)) for piece in levels)
-    return steps < 2 * settings.smooth * squares
+def _roughness(pieces: Sequence[np.ndarray]) -> float:
+    """Give half the mean squared step over the variance: 1 for independent values."""
+    steps = sum(float(np.sum(np.diff(piece) ** 2)) for piece in pieces)
+    squares = sum(float(np.sum((piece - np.mean(piece)) ** 2)) for piece in pieces)
+    return steps / (2 * squares) if squares > 0 else 0.0
