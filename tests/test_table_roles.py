@@ -874,3 +874,31 @@ def test_columns_called_by_concentrations_are_runs():
     assert [float(run.by_name["mM"][0]) for run in runs] == [0.1, 0.5, 2.0]
     depths = read_trajectories({"t": T, "5 cm": DECAY, "10 cm": RISE}).trajectories
     assert len(depths) == 1 and len(depths[0].states) == 2
+
+
+@pytest.mark.parametrize("form", ["{} uM rep{}", "{} uM_{}", "{} uM.{}", "rep {} - {} uM"])
+def test_replicates_of_a_concentration_are_runs_of_it(form):
+    """However the replicates are called, each has the concentration as its parameter."""
+    data = {"t (s)": T}
+    for c, count in ((10, 3), (50, 2)):
+        for k in range(count):
+            name = form.format(*((k + 1, c) if form.startswith("rep") else (c, k + ("_" in form))))
+            data[name if k or "rep" in form else f"{c} uM"] = c * DECAY + 0.001 * k
+    runs = read_trajectories(data).trajectories
+    assert [run.states for run in runs] == [("x",)] * 5
+    assert [float(run.by_name["uM"][0]) for run in runs] == [10, 10, 10, 50, 50]
+    assert np.array_equal(runs[4].x[:, 0], data[list(data)[-1]])
+
+
+def test_columns_of_one_name_that_differ_by_noise_are_replicates(tmp_path):
+    """Three columns called OD are three runs; x and its square are states of one."""
+    rng = np.random.default_rng(0)
+    copies = [RISE + rng.normal(0, 0.05, N) for _ in range(3)]
+    rows = zip(T, *copies, np.cos(T), strict=True)
+    lines = [",".join(f"{v:.5f}" for v in row) for row in rows]
+    (tmp_path / "plate.csv").write_text("\n".join(["t,OD,OD,OD,temp", *lines]))
+    with pytest.warns(DynsrWarning, match=r"used 3 times .* the others are called 'OD_2', 'OD_3'"):
+        runs = read_trajectories(tmp_path / "plate.csv").trajectories
+    assert [run.states for run in runs] == [("temp", "OD")] * 3
+    assert np.allclose(runs[2].x[:, 1], copies[2], atol=1e-5)
+    assert states({"t": T, "x": RISE, "x_2": RISE**2}) == ("x", "x_2")

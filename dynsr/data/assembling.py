@@ -175,10 +175,13 @@ def assemble(
             words[name] = reading.words
         if reading.limits is not None:
             limits[name] = reading.limits.select(there)
-    told += [
-        f"column name {old!r} is used twice in {label}; one of them is called {name!r} here"
-        for old, name in renamed
-    ]
+    for old in dict.fromkeys(old for old, _ in renamed):
+        others = [repr(name) for own, name in renamed if own == old]
+        often = "twice" if len(others) == 1 else f"{len(others) + 1} times"
+        are = "one of them is" if len(others) == 1 else "the others are"
+        told.append(
+            f"column name {old!r} is used {often} in {label}; {are} called {', '.join(others)} here"
+        )
     return Columns(
         tuple(name for name, _ in found),
         tuple(values for _, values in found),

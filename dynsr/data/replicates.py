@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dynsr.data.columns import Columns
 from dynsr.data.limits import Limits
 from dynsr.data.lines import last_digit
+from dynsr.data.measurement_errors import is_error_word
 from dynsr.data.name_parts import (
+    BEFORE,
+    BEHIND,
     CONDITIONS,
     FEWEST_WELLS,
     LETTERED,
@@ -24,6 +26,8 @@ from dynsr.data.name_parts import (
 )
 
 _FEWEST = 8
+# The names that tables give to columns of one name.
+_COPY = re.compile(r"(?P<name>.+)(?P<mark>[._])(?P<number>\d+)")
 # Copies differ by less than this share of how far they move, and the difference of one row tells
 # little of the next: half its mean squared step over its variance is 1 for independent values.
 _ALIKE = 0.3
@@ -40,12 +44,12 @@ class SideBySide:
     ----------
     word : what the runs are called; "" where only numbers distinguish them.
     members : name of a run -> quantity -> its column.
-    given : whether the word is a condition of the runs, whose names are its values.
+    given : the values of the condition that the word is, one for each run; None for another word.
     """
 
     word: str
     members: Mapping[str, Mapping[str, str]]
-    given: bool = False
+    given: tuple[float, ...] | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -69,10 +73,16 @@ def find_replicates(columns: Columns, names: Sequence[str]) -> SideBySide | None
     names : those that may be so.
 
     Each run must have the same quantities. Names with a word such as rep, run or trial and a number
-    say it, or with a condition such as ``c0=0.5``; so do six names of wells of a plate. With a
-    number or a letter alone they do where the columns are copies of each other within noise.
+    say it, or with a condition such as ``c0=0.5``, of which there may be several runs; so do six
+    names of wells of a plate. With a number or a letter alone they do where the columns are copies
+    of each other within noise; so do columns that are all called the same.
     """
     numbers = [n for n in names if columns.values[columns.names.index(n)].dtype.kind == "f"]
+    copies = _find_copies(numbers)
+    for condition in CONDITIONS:
+        found = _arrange_given(numbers, condition, copies)
+        if found is not None:
+            return found
     for pattern in SAYING:
         found = _arrange(numbers, pattern)
         if found is not None:
@@ -80,39 +90,82 @@ def find_replicates(columns: Columns, names: Sequence[str]) -> SideBySide | None
     wells = _arrange(numbers, WELL)
     if wells is not None and len(wells.members) >= FEWEST_WELLS:
         return replace(wells, word="well")
-    for pattern in (NUMBERED, LETTERED):
-        found = _arrange(numbers, pattern)
+    same = [n for n in numbers if n in copies or any(n == own for own, _ in copies.values())]
+    parts = [(n, *copies.get(n, (n, "1")), "") for n in same if not is_error_word(n)]
+    for found in (_of_runs(parts), _arrange(numbers, NUMBERED), _arrange(numbers, LETTERED)):
         if found is not None and _are_copies(columns, found):
             return found
     return None
 
 
-def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | None:
-    members: dict[str, dict[str, str]] = {}
-    words: list[str] = []
+def _find_copies(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Give the columns that have the name of another with a number, as readers of tables add it.
+
+    These are ``x_2, x_3``, or ``x.1, x.2`` as pandas writes them, next to ``x``.
+    """
+    found = {name: match for name in names if (match := _COPY.fullmatch(name))}
+    return {
+        name: (match["name"], str(int(match["number"]) + (match["mark"] == ".")))
+        for name, match in found.items()
+        if match["name"] in names
+    }
+
+
+def _arrange_given(
+    names: Sequence[str], pattern: re.Pattern[str], copies: Mapping[str, tuple[str, str]]
+) -> SideBySide | None:
+    """Arrange columns by the condition in their names and the run that they add to it."""
+    parts, given = [], {}
     for name in names:
-        own, unit = (name, "") if pattern.fullmatch(name) else (bare_name(name), "")
-        if own != name:
-            unit = bracketed_unit(name)
-        match = pattern.fullmatch(own)
-        if match is None:
+        own, which = copies.get(name, (name, ""))
+        if repeat := BEHIND.fullmatch(own) or BEFORE.fullmatch(own):
+            own, which = repeat["stem"].strip(), repeat["which"]
+        if (split := _split(own, pattern)) is None:
             continue
-        stem = match["stem"].strip(" _.-([") or "x"
-        which = match["which"] if pattern is WELL else match["which"].lower()
-        run = members.setdefault(which, {})
-        if stem in run:
+        stem, value, word = split
+        run = f"{value} ({which})" if which and which != "1" else value
+        given[run] = float(value.replace(",", "."))
+        parts.append((name, stem, run, word))
+    found = _of_runs(parts)
+    return None if found is None else replace(found, given=tuple(given[r] for r in found.members))
+
+
+def _arrange(names: Sequence[str], pattern: re.Pattern[str]) -> SideBySide | None:
+    """Arrange columns by what their names say of the run."""
+    split = ((name, _split(name, pattern)) for name in names)
+    return _of_runs([(name, own[0], own[1], own[2].lower()) for name, own in split if own])
+
+
+def _split(name: str, pattern: re.Pattern[str]) -> tuple[str, str, str] | None:
+    """Give the quantity that a column is, its run, and what its runs are called."""
+    own = name if pattern.fullmatch(name) else bare_name(name)
+    match = pattern.fullmatch(own)
+    if match is None:
+        return None
+    unit = "" if own == name else bracketed_unit(name)
+    stem = match["stem"].strip(" _.-([") or "x"
+    which = match["which"] if pattern is WELL else match["which"].lower()
+    return f"{stem} [{unit}]" if unit else stem, which, match.groupdict().get("word") or ""
+
+
+def _of_runs(parts: Sequence[tuple[str, str, str, str]]) -> SideBySide | None:
+    """Put columns together; None unless each run has the same quantities, and all have one word.
+
+    Parameters
+    ----------
+    parts : column, quantity, run and word of each.
+    """
+    members: dict[str, dict[str, str]] = {}
+    for name, stem, run, _ in parts:
+        if stem in members.setdefault(run, {}):
             return None
-        run[f"{stem} [{unit}]" if unit else stem] = name
-        words.append(match.groupdict().get("word") or "")
+        members[run][stem] = name
     same = len({tuple(sorted(own)) for own in members.values()}) == 1
-    if len(members) < 2 or not same or len(set(map(str.lower, words))) > 1:
+    if len(members) < 2 or not same or len({word.lower() for *_, word in parts}) > 1:
         return None
     first = list(next(iter(members.values())))
-    return SideBySide(
-        words[0] if pattern in CONDITIONS else words[0].lower(),
-        {run: {s: own[s] for s in first} for run, own in members.items()},
-        pattern in CONDITIONS,
-    )
+    in_order = {run: {s: own[s] for s in first} for run, own in members.items()}
+    return SideBySide(parts[0][-1], in_order)
 
 
 def _are_copies(columns: Columns, found: SideBySide) -> bool:
@@ -202,10 +255,8 @@ def stack_replicates(columns: Columns, found: SideBySide) -> tuple[Columns, np.n
     kept = [n for n in columns.names if n not in found.columns]
     names = [*kept, label, *found.stems]
     values = [by_name[name][source] for name in kept]
-    called: list[Any] = list(found.members)
-    if found.given:
-        called = [float(which.replace(",", ".")) for which in called]
-    values.append(np.repeat(np.array(called, dtype=float if found.given else object), rows))
+    called = np.array(found.given or list(found.members), float if found.given else object)
+    values.append(np.repeat(called, rows))
     values += [
         np.concatenate([by_name[own[stem]] for own in found.members.values()])
         for stem in found.stems
