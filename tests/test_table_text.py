@@ -385,3 +385,20 @@ def test_a_stopwatch_may_run_for_more_than_99_hours(tmp_path):
     (tmp_path / "long.csv").write_text("\n".join(["elapsed,x", *rows]))
     (run,) = read_trajectories(tmp_path / "long.csv").trajectories
     assert np.array_equal(run.t, 5 * np.arange(30)) and run.time_unit == "h"
+
+
+@pytest.mark.parametrize(
+    "write", [str, lambda text: text.replace(".", ",")], ids=["point", "comma"]
+)
+def test_settings_with_a_number_for_each_column_are_above_the_table(tmp_path, write):
+    """LabVIEW writes samples, dates and starts of the channels, and a last column of no cells."""
+    above = (
+        "LabVIEW Measurement\nSeparator\tTab\nTime_Pref\tRelative\nDate\t2024/01/12\n"
+        "Time\t11:12:13\n***End_of_Header***\t\n\t\nChannels\t2\nSamples\t14\t14\n"
+        "Date\t2024/01/12\t2024/01/12\nTime\t11:12:13\t11:12:13\nY_Unit_Label\tVolts\tVolts\n"
+        "X0\t0.0E+0\t0.0E+0\nDelta_X\t0.25\t0.25\n***End_of_Header***\t\t\n"
+    )
+    text = f"{above}X_Value\tfill\tflow\tComment\n{BODY}".replace(",", "\t")
+    columns = load_columns(put(tmp_path, write(text), "rig.lvm"))
+    check_body(columns, ("X_Value", "fill", "flow"))
+    assert columns.notes[0] == "lines 1 to 15 of rig.lvm above its table have no data; skipped"

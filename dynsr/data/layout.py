@@ -124,12 +124,14 @@ def find_layout(rows: Sequence[Row], whole: bool = True) -> Layout | None:
         j: next((k for k in range(j, len(rows)) if not is_data[k]), len(rows)) - j for j in starts
     }
     starts, lengths = _without_remarks(rows, lengths)
-    longest = max(lengths.values())
     width = max(rows[j].width for j, yes in enumerate(is_data) if yes)
+    heads = {j: _find_head(rows[:j], numeric, width) for j in starts}
+    longest = max(lengths.values())
+    # A line or two of settings, such as "Samples 200 200", may have a head above them too.
+    named = max((lengths[j] for j in starts if heads[j]), default=longest)
     for j in starts:
-        head = _find_head(rows[:j], numeric, width)
-        if head or lengths[j] >= min(_ENOUGH, longest):
-            return _arrange(rows, j, head)
+        if lengths[j] >= min(_ENOUGH, named if heads[j] else longest):
+            return _arrange(rows, j, heads[j])
     return None
 
 

@@ -52,6 +52,7 @@ _SEP = re.compile(r"\s*\"?sep=(.)\"?\s*", re.IGNORECASE)
 _COMMENT = re.compile(
     r"\s*(#(?!N/A|NA\b|NV\b|DIV/0|VALUE|REF!|NUM!|NAME\?|NULL!|WERT|ZAHL|BEZUG|\d)|%|//)"
 )
+_REMARKS = re.compile(r"(comment|remark|note|bemerkung|kommentar|remarque)s?", re.IGNORECASE)
 _MARK = re.compile(r"^\s*(#|%|//)+\s*")
 
 
@@ -352,7 +353,8 @@ def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:
                 return split
     if len(names) == width - 1 and _are_row_names(frame[0]):
         return ["", *names]
-    while len(names) > width and not names[-1]:
+    # A last column of remarks may have no cell in any row.
+    while len(names) > width and (not names[-1] or _REMARKS.fullmatch(names[-1])):
         names.pop()
     first = len(_cells(head.lines[head.layout.first], head.delimiter))
     wanted = len(names) or first
