@@ -99,6 +99,15 @@ def test_tables_in_json_are_read(tmp_path, form):
     assert found.states == ("x",) and found.rows == 12
 
 
+def test_objects_in_cells_of_json_are_columns_of_their_own(tmp_path):
+    """Messages of a sensor have its values in an object."""
+    rows = [{"t": t, "sensor": {"x": t**2, "of": {"y": -t}}} for t in range(12)]
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    columns = load_columns(tmp_path / "log.jsonl")
+    assert columns.names == ("t", "sensor_x", "sensor_of_y")
+    assert columns.values[2].tolist() == [-t for t in range(12)]
+
+
 def test_json_without_a_table_and_stata_files(tmp_path):
     """What is no table is refused in one line; a file of Stata is read."""
     path = tmp_path / "list.json"
@@ -161,6 +170,17 @@ def test_structures_of_the_same_fields_are_runs(tmp_path):
     table = read_trajectories(tmp_path / "r.mat")
     assert [len(run) for run in table.trajectories] == [16, 12]
     assert table.trajectories[0].states == ("x",)
+
+
+def test_structures_in_a_structure_are_its_columns(tmp_path):
+    """Simulink writes signals so, each with a label."""
+    kinds = [("values", object), ("label", object)]
+    signals = np.array([(A[:, None], "a"), (B[:, None], "b")], dtype=kinds)
+    logged = {"time": T[:, None], "signals": signals, "blockName": "rig/To Workspace"}
+    scipy.io.savemat(tmp_path / "s.mat", {"simout": logged})
+    columns = load_columns(tmp_path / "s.mat")
+    assert columns.names == ("time", "signals1_values", "signals2_values")
+    np.testing.assert_array_equal(columns.values[2], B)
 
 
 def write_matlab_73(path, **arrays):

@@ -382,7 +382,8 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
             )
     inputs = tuple(name for name in labels.get("input_names", ()) if name)
     # Such as the step or a parameter beside the columns of an archive.
-    notes = (f"{', '.join(map(repr, single))} of {label} is no column; left out",) if single else ()
+    are = "is no column" if len(single) == 1 else "are no columns"
+    notes = (f"{', '.join(map(repr, single))} of {label} {are}; left out",) if single else ()
     return assemble(names, values, label, notes=notes, inputs=inputs, decimal=decimal)
 
 

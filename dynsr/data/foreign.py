@@ -66,9 +66,21 @@ def group_mat(arrays: Mapping[str, Any]) -> Groups:
     groups = {"": _numbers(plain)}
     for name, value in structures.items():
         for number, one in enumerate(value.ravel(), start=1):
-            fields = {key: one[key] for key in value.dtype.names}
+            fields = dict(_fields(one))
             groups[name if value.size == 1 else f"{name}({number})"] = _numbers(fields)
     return groups
+
+
+def _fields(structure: Any) -> Iterator[tuple[str, Any]]:
+    """Give the fields of a structure, and those of structures in it, as Simulink writes signals."""
+    for key in structure.dtype.names:
+        value = structure[key]
+        if not isinstance(value, np.ndarray) or not value.dtype.names:
+            yield key, value
+            continue
+        for number, one in enumerate(value.ravel(), start=1):
+            place = f"{key}{number}" if value.size > 1 else key
+            yield from ((f"{place}_{name}", inner) for name, inner in _fields(one))
 
 
 def _mat_sizes(path: str, most: int) -> Iterator[int]:

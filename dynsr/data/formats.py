@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -216,7 +217,10 @@ def load_json(path: Path, decimal: str | None = None) -> Columns:
         raise unreadable(path, "JSON file", error) from None
     rows = found if isinstance(found, list) else []
     if rows and all(isinstance(row, dict) for row in rows):
-        return load_frame(pandas.DataFrame(rows), path.name, decimal)
+        # An object in a cell is columns of its own: {"sensor": {"x": 1}} is sensor_x.
+        nested = any(isinstance(cell, dict) for row in rows for cell in row.values())
+        read = partial(pandas.json_normalize, sep="_") if nested else pandas.DataFrame
+        return load_frame(read(rows), path.name, decimal)
     if isinstance(found, dict) and found:
         parts = list(found.values())
         if all(isinstance(part, list) for part in parts) and len({*map(len, parts)}) == 1:
