@@ -170,6 +170,23 @@ def test_nothing_is_missing_where_an_equation_explains_near_rows(noise):
             assert missing.kind == "missing state" and " may be missing " in missing.sentence
 
 
+def test_a_map_is_named_where_counts_may_follow_from_those_before():
+    """In noise as what may be tried; without noise as what it looks like, in any verdict."""
+    rng = np.random.default_rng(1)
+    noisy, exact = [20.0], [20.0]
+    for chance in rng.normal(0, 0.15, 59):
+        noisy.append(noisy[-1] * np.exp(1.9 * (1 - noisy[-1] / 300) + chance))
+        exact.append(exact[-1] * np.exp(2.6 * (1 - exact[-1] / 300)))
+    years = np.arange(1960.0, 2020.0)
+    counts = [Trajectory(years, np.array(x)[:, None], ("N",)) for x in (noisy, exact)]
+    assert "try a map: --map" in likely_cause(counts[:1], "N", explained=True)
+    assert "looks like a map" in likely_cause(counts[1:], "N", explained=True)
+    uneven = Trajectory(years + 0.2 * rng.random(60), counts[0].x, ("N",))
+    assert "too far apart" in likely_cause([uneven], "N") and "map" not in likely_cause(
+        [uneven], "N"
+    )
+
+
 @pytest.mark.slow
 def test_no_cause_is_named_of_what_leaves_nothing_but_noise():
     """An equation that is only unsure of a term lacks no state, whatever near rows look like."""

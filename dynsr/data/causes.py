@@ -86,6 +86,9 @@ class DiagnosisSettings:
 
 
 _SETTINGS = DiagnosisSettings()
+_EVEN_STEPS = (
+    " If each row follows from the one before, as counts of generations do, try a map: --map."
+)
 # A column oscillates that goes up and down at least so often.
 _OSCILLATES = 2
 
@@ -196,7 +199,11 @@ def _of_shape(
         return
     following = min(_following(runs, target, lags, settings.rows) for lags in (1, 2))
     if following > min(settings.follows, rough / 2):
-        yield from _of_noise(runs, target, settings)
+        stepped = _EVEN_STEPS if _are_even(runs) else ""
+        yield from (
+            replace(cause, sentence=cause.sentence + stepped)
+            for cause in _of_noise(runs, target, settings)
+        )
         return
     evidence = {"roughness": rough, "left open": following}
     if _jumps(runs, settings):
@@ -253,11 +260,14 @@ def _of_motion(runs: Sequence[Trajectory], target: str) -> list[Cause]:
 
 def _jumps(runs: Sequence[Trajectory], settings: DiagnosisSettings) -> bool:
     """Say whether every state jumps at even times; a flow has columns that move smoothly."""
-    steps = np.concatenate([np.diff(run.t) for run in runs])
     change = np.mean(np.concatenate([np.diff(run.x, axis=0) ** 2 for run in runs]), axis=0)
     variance = np.var(np.concatenate([run.x for run in runs]), axis=0)
-    even = bool(np.ptp(steps) <= 1e-3 * np.median(steps))
-    return even and bool(np.all(change >= 2 * settings.jumping * variance))
+    return _are_even(runs) and bool(np.all(change >= 2 * settings.jumping * variance))
+
+
+def _are_even(runs: Sequence[Trajectory]) -> bool:
+    steps = np.concatenate([np.diff(run.t) for run in runs])
+    return bool(np.ptp(steps) <= 1e-3 * np.median(steps))
 
 
 def _largest_jump(runs: Sequence[Trajectory], columns: Sequence[np.ndarray]) -> str:
