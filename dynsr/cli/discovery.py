@@ -242,8 +242,8 @@ def discover(
         typer.Argument(
             metavar="[FILE]...",
             help="Text (CSV), Excel (book.xlsx:Sheet), Parquet, JSON, .mat, .h5, .nc, .npz. "
-            "Several files are several runs, or one experiment if they share no state. Cells may "
-            "be empty.",
+            "Several files are several runs, or one experiment if they share no state. A table of "
+            "a row for each run gives its parameters. Cells may be empty.",
         ),
     ] = None,
     system: Annotated[

@@ -31,6 +31,7 @@ from dynsr.data.names import clean_name
 from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles, constants_left_out
+from dynsr.data.run_settings import RunSettings, apply_settings, find_settings
 from dynsr.data.steps import between_rows
 from dynsr.data.time_columns import find_time
 from dynsr.data.times import convert_times
@@ -87,7 +88,8 @@ def read_trajectories(
         columns; a pair of arrays (t (n,), x (n, k)); an array whose first column is the time; a
         Trajectory; a list of rows as mappings; or a list of any of these, one or more trajectories
         each. Those of the same states are runs; those that share no state measured the same
-        experiments and are joined on the time.
+        experiments and are joined on the time. A small table without a time, one of whose columns
+        has the names of the runs, gives the parameters of each, such as a plate's layout.
     time : name of the time column, of the date and the clock ("date,clock"), or the (n,) times
         themselves; guessed by default.
     states : names of the state columns; every other column by default. A source without
@@ -314,6 +316,33 @@ def _read_list(
     if not sources:
         raise InputError("no data was given; give at least one file, frame or array")
     _refuse_twice(sources)
+    load_of = partial(_load_quietly, decimal=decimal, missing=missing)
+    listed = [(s, find_settings(s, partial(load_of, s))) for s in sources]
+    rest = [source for source, found in listed if not found]
+    if 0 < len(rest) < len(sources):
+        every = [own for _, found in listed for own in found]
+        inputs_of_rest = _without_settings(inputs, every)
+        table = read_trajectories(
+            rest if len(rest) > 1 else rest[0],
+            time,
+            states,
+            inputs_of_rest,
+            trajectory,
+            quantity=quantity,
+            decimal=decimal,
+            missing=missing,
+            hold=hold,
+            noise=noise,
+            doses=doses or None,
+            limits=limits,
+            max_rows=max_rows,
+        )
+        count = len(sources) - len(rest)
+        set_up = apply_settings(table.trajectories, table.description, every, count)
+        if set_up is not None:
+            set_runs, whole = set_up
+            table = _told(decide_hold(set_runs), whole.sentence, whole)
+            return replace(table, left_out=whole.left_out, notes=whole.notes)
     share = max(max_rows // len(sources), FEWEST_ROWS)
     tables, constants = [], []
     for source in sources:
@@ -404,6 +433,20 @@ def _with_constants(tables: list[Table], constants: list[dict[str, float]]) -> l
             else table
         )
     return found
+
+
+def _without_settings(
+    inputs: Sequence[str] | Mapping[str, str] | str | None, found: Sequence[RunSettings]
+) -> Sequence[str] | Mapping[str, str] | str | None:
+    """Give the inputs that are no settings of runs."""
+    known, formulas = _split_inputs(inputs)
+    called = {name for own in found for pair in own.renamed.items() for name in pair}
+    if not known or not called & set(known):
+        return inputs
+    return [
+        *(name for name in known if name not in called),
+        *(f"{name}={text}" for name, text in formulas.items()),
+    ]
 
 
 def _load_quietly(source: Any, decimal: str | None, missing: Missing | None) -> Columns:
