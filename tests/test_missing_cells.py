@@ -262,6 +262,22 @@ def test_pictures_and_scores_begin_where_the_equations_begin(noise, near):
     assert np.array_equal(found.carried[0].x[15:], x[15:])
 
 
+def test_exports_begin_where_the_equations_begin(tmp_path):
+    """Each run of a problem of PEtab does too, and says it of a state that its first row lacks."""
+    pytest.importorskip("libsbml", reason="libsbml is not installed")
+    runs, starts = [], ([10.0, 5.0], [6.0, 2.0])
+    for start in starts:
+        x = Discovery(LAW, {}, {}, {}).simulate(start, T).x.copy()
+        x[:15, 1] = np.nan
+        runs.append(Trajectory(T, x, ("x", "y")))
+    found = Discovery(LAW, {}, {}, {}, tuple(runs))
+    assert found.system.x0 == pytest.approx({"x": 10.0, "y": 5.0}, rel=1e-4)
+    found.export("petab", tmp_path / "problem")
+    rows = pd.read_csv(tmp_path / "problem" / "parameters.tsv", sep="\t").set_index("parameterId")
+    values = [rows.nominalValue[f"start_y_run_{k}"] for k in (1, 2)]
+    assert values == pytest.approx([own[1] for own in starts], rel=1e-4)
+
+
 def test_runs_too_short_to_be_fitted_begin_on_their_curves():
     """Of eight runs with four rows each, the first cell of the predator is empty."""
     runs = []

@@ -249,8 +249,8 @@ def write_petab(source: Source) -> dict[str, str]:
     inputs = source.measured
     header = ["conditionId", *begins.values(), *inputs]
     conditions, measurements = [header], [_MEASURED]
-    # Where a run begins is estimated of a state that its first row lacks, from its curve on.
-    carried = carry(source.runs)
+    # Where a run begins is estimated of a state that its first row lacks, from what is found on.
+    carried = source.begun or tuple(carry(source.runs))
     unknown: dict[str, float] = {}
     for place, (run, begun) in enumerate(zip(source.runs, carried, strict=True), 1):
         condition = f"run_{place}"

@@ -48,6 +48,7 @@ class Source:
     delays : input -> the state, or other input, and the delay that it is.
     curves : what functions that are curves are, in words.
     chance : what is known of noise in the motion, which is no part of the equations, in words.
+    begun : the data whose empty cells are on curves, from the start that the equations have.
     """
 
     system: ParametricSystem
@@ -61,6 +62,7 @@ class Source:
     delays: Mapping[str, Delay] = field(default_factory=dict)
     curves: tuple[str, ...] = ()
     chance: tuple[str, ...] = ()
+    begun: tuple[Trajectory, ...] = ()
 
     @classmethod
     def of(cls, found: Discovery | ParametricSystem | System) -> Source:
@@ -93,6 +95,7 @@ class Source:
             delays=found.delays,
             curves=tuple(f"{part.text}." for part in found.free.curves.values()),
             chance=tuple(found.noise_notes.values()),
+            begun=found.carried if data else (),
         )
 
     @property
