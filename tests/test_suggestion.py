@@ -93,6 +93,16 @@ def test_without_alternatives_it_is_the_constants_that_are_told():
     assert made.best.bits > made.again.bits
 
 
+def test_where_no_experiment_distinguishes_the_alternatives_that_is_said():
+    """Over a moment two formulas do the same; the bits of a table near 0 would say it to nobody."""
+    found = near_the_top(0.05)
+    short, longer = found.suggest(span=1e-6), found.suggest()
+    assert short.alternatives and short.best.bits < 1 < longer.best.bits
+    assert short.heading.startswith("No experiment of 60 rows over 1e-06 that was tried")
+    assert str(short).startswith(short.heading) and "a longer span" in short.heading
+    assert longer.heading.startswith("The bits")
+
+
 def test_no_start_is_negative_where_no_state_was():
     """Counts and amounts start at 0 or more, however far beyond their range starts may lie."""
     made = noisy_rabbits(0.05).suggest(settings=SuggestionSettings(beyond=3.0))

@@ -175,6 +175,12 @@ class Suggestion:
         if not self.alternatives:
             return "No other equation is left: the bits are of the constants."
         others = "; ".join(f"{a.text} ({a.bits:.3g} bits behind)" for a in self.alternatives)
+        most_of_one = max(bits for own in self.experiments for bits in own.each)
+        if most_of_one < 1:
+            return (
+                f"No experiment of {self.size} that was tried distinguishes the equations found "
+                f"from {others}: none gives a bit. Take a longer span, or measure better."
+            )
         most = f"{self.enough:g} at most"
         return f"The bits, {most}, are between the equations found and {others}."
 
