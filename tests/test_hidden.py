@@ -19,6 +19,7 @@ from dynsr.discovery.unmeasured import (
     estimate_hidden,
     number_runs,
 )
+from dynsr.errors import DynsrWarning
 from dynsr.expression import evaluate
 from dynsr.fit import Measurements, fit_along, interval_reach, residual_bits
 from dynsr.fit.collocation import covariance_of
@@ -76,6 +77,14 @@ def holds(found, state, term, truth):
     """Whether the interval of a constant holds its true value."""
     (own,) = [c for c in found.constants[state] if c.of == term]
     return own.low <= truth <= own.high
+
+
+def test_many_rows_with_a_hidden_state_are_said_to_take_long():
+    """All of them are fitted at once, and how many would do is said before the search."""
+    t = np.linspace(0, 20, 6000)
+    run = Trajectory(t, np.cos(t)[:, None], ("x",))
+    with pytest.warns(DynsrWarning, match=r"all 6,000 rows are fitted .* y, .*one row in 6 shows"):
+        discover(run, hidden="y", time_budget=0.5, jobs=1)
 
 
 def test_the_law_is_the_same_however_a_hidden_state_is_written():

@@ -250,6 +250,14 @@ def _discover(data: Any, asked: Options) -> Discovery:
     # hidden state is a constant of a run. Maps and delays are not fitted to all rows later.
     sizes, unfitted = asked.settings.windows, asked.discrete or delayed
     most = math.inf if vary or kind.uncut else sizes.block if unfitted else sizes.above
+    if kind.hidden and (rows := sum(map(len, runs))) > sizes.above:
+        warn(
+            f"all {rows:,} rows are fitted together with {kind.hidden}, which takes long; where "
+            f"states move little from row to row, one row in {rows // (sizes.count * sizes.rows)} "
+            "shows the same law",
+            DynsrWarning,
+            stacklevel=4,
+        )
     runs, windows, slopes = take_windows(runs, sizes, asked.slopes, most, asked.discrete)
     options = replace(asked.within, slopes=slopes, seed=seed)
     until = Budget(asked.time_budget).until(1.0)
