@@ -41,10 +41,6 @@ def _is_names(value: Any) -> bool:
     return isinstance(value, (str, Sequence))
 
 
-def _is_truth(value: Any) -> bool:
-    return isinstance(value, (bool, np.bool_))
-
-
 # Arguments whose values nothing else looks at: whether one fits, and what it must be.
 KINDS: dict[str, tuple[Any, str]] = {
     "method": (lambda v: _is_names(v) or hasattr(v, "search"), "a method, its name, or several"),
@@ -64,7 +60,7 @@ KINDS: dict[str, tuple[Any, str]] = {
     "out": (lambda v: v is None or isinstance(v, (str, os.PathLike)), "a folder"),
     "progress": (lambda v: v is None or callable(v), "a function"),
     "settings": (lambda v: hasattr(v, "selection"), "DiscoverySettings"),
-    **dict.fromkeys(FLAGS, (_is_truth, "True or False")),
+    **dict.fromkeys(FLAGS, (lambda v: isinstance(v, (bool, np.bool_)), "True or False")),
 }
 
 

@@ -25,7 +25,6 @@ from dynsr.expression import (
     to_latex_formula,
 )
 from dynsr.fit import (
-    Candidate,
     LossFunction,
     ParetoFront,
     choose,
@@ -172,13 +171,9 @@ class DynsrRegressor(RegressorMixin, BaseEstimator):
             # Numbers are simple by the errors of the target, whatever a miss counts.
             plain = replace(samples, loss=None)
             level = noise if samples.loss is None else noise_of(front, plain)
-            snapped = self._snapped(ranked[: self.most_snapped], plain, level)
-            front = front.add(*(score_candidate(c.expr, samples, c.source) for c in snapped))
+            snapped = [score_snapped(c, plain, level) for c in ranked[: self.most_snapped]]
+            front = front.add(*(score_candidate(tidy(c.expr), samples, c.source) for c in snapped))
         return choose(front, samples, noise).expr, front
-
-    def _snapped(self, ranked: list[Candidate], samples: Samples, noise: Any) -> list[Candidate]:
-        snapped = [score_snapped(c, samples, noise) for c in ranked]
-        return [score_candidate(tidy(c.expr), samples, c.source) for c in snapped]
 
     def predict(self, X: Any, index: int | None = None) -> np.ndarray:
         """Evaluate a formula; where it is not finite the nearest number is given.

@@ -19,7 +19,6 @@ from dynsr.engines import find_engine
 from dynsr.errors import InputError
 from dynsr.expression import check_name, to_text
 from dynsr.fit import (
-    AlongFit,
     Measurements,
     ParetoFront,
     fit_along,
@@ -33,7 +32,6 @@ from dynsr.methods import AUTO, Demands, choose_methods
 from dynsr.parameters import match_constants
 from dynsr.selection import (
     ComparisonSettings,
-    Coupling,
     HiddenFit,
     SystemFit,
     best_alone,
@@ -116,11 +114,14 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
     every: list[HiddenFit] = []
     alone: list[SystemFit | None] = []
 
+    def title(state: str) -> str:
+        return f"{state}' with {name}" if state else f"without {name}"
+
     def look() -> None:
         how = selection.comparison
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)
-        with Turns(["", *states[:-1]], lambda s: _title(name, s), options.report) as turns:
+        with Turns(["", *states[:-1]], title, options.report) as turns:
             for state in turns:
                 if not state:
                     leading |= best_alone(data, how)
@@ -157,11 +158,6 @@ def _check_terms(demands: Demands, name: str) -> None:
                 f"measured {name}, which may be written in many ways; name terms of measured "
                 "columns in the equations of measured states"
             )
-
-
-def _title(name: str, state: str) -> str:
-    """What is looked for, for progress."""
-    return f"{state}' with {name}" if state else f"without {name}"
 
 
 def _as_noisy(
@@ -207,7 +203,9 @@ def _discover(
         raise InputError("no system with a hidden state can be fitted to these data")
     numbers = simple_numbers(fit, [None] * len(fit.constants), selection.fit)
     final = {s: tidy(e) for s, e in fit.put(numbers).items()}
-    errors, fitted = _errors(final, fit, numbers, coupling)
+    left = zip(map(float, numbers), fit.errors.tolist(), fit.constants.tolist(), strict=True)
+    # The factor of the hidden state is known: it has no error.
+    errors, fitted = match_constants(final, [*left], {coupling.state: float(coupling.sign)})
     whole = with_columns(runs, data, coupling.name)
     others = different_laws(best, every, settings.verdict.alternative_bits, settings.hidden)
     if coupling != best.coupling:
@@ -261,18 +259,3 @@ def _by_state(
         own = (differing or [name])[0]
         found.setdefault(own, []).append((other[own], bits))
     return found
-
-
-def _errors(
-    final: Mapping[str, sympy.Expr],
-    fit: AlongFit,
-    numbers: Sequence[sympy.Expr],
-    coupling: Coupling,
-) -> tuple[dict[str, tuple[tuple[float, float], ...]], dict[str, tuple[float, ...]]]:
-    """Give state -> (value, standard error), and fitted value, of the constants of equations.
-
-    The factor of the hidden state is known: it has no error. A number that is no constant of the
-    fit has one that nobody knows.
-    """
-    left = list(zip(map(float, numbers), fit.errors.tolist(), fit.constants.tolist(), strict=True))
-    return match_constants(final, left, {coupling.state: float(coupling.sign)})

@@ -49,7 +49,7 @@ def search_orders(search: Search, runs: Sequence[Trajectory], asked: Options) ->
         return search(runs, asked)
     budget, states = Budget(asked.time_budget), runs[0].states
     alone = len(runs[0].names) == 1
-    second = alone and turns_back(runs, states[0]) and _is_second(runs, states[0])
+    second = alone and turns_back(runs, states[0]) and "second order" in _causes(runs, states[0])
     found = _search(search, runs, replace(asked, order=2)) if second else None
     if found is None:
         found = search(runs, replace(asked, order=1))
@@ -75,11 +75,6 @@ def _search(search: Search, runs: Sequence[Trajectory], asked: Options) -> Disco
         if asked.order == 1:
             raise
         return None
-
-
-def _is_second(runs: Sequence[Trajectory], state: str) -> bool:
-    """Whether a state and its own slope determine its second derivative, and columns do not."""
-    return "second order" in _causes(runs, state)
 
 
 def _are_positions(runs: Sequence[Trajectory]) -> bool:

@@ -121,7 +121,7 @@ def collapse(
     >>> collapse(long, [], s, Noise(1e-7, 60.0)).expr
     -x**3
     """
-    floor = _finest(samples)
+    floor = max(samples.noise or 0.0, FINEST_SLOPES * slope_size(samples))
     bound = settings.alike * _misses(candidate, samples) + floor
     if not is_exact(samples) or bound[0] > settings.explained * slope_size(samples):
         return candidate
@@ -168,8 +168,3 @@ def _misses(candidate: Candidate, samples: Samples) -> np.ndarray:
 # Share by which what stands below a line may vary on the data and still say nothing.
 _FLAT = 0.05
 _QUANTILES: Sequence[float] = (0.5, 0.8, 0.95, 0.99)
-
-
-def _finest(samples: Samples) -> float:
-    """Give the size of the slopes' own error, (y's unit)."""
-    return max(samples.noise or 0.0, FINEST_SLOPES * slope_size(samples))

@@ -143,12 +143,9 @@ class Shooting:
         """(k,) robust size of the residuals where there are measurements."""
         if self.told.all():
             return robust_scale(misses, axis=(0, 2))
-        each = [own[told] for own, told in zip(misses.swapaxes(0, 1), self._by_state, strict=True)]
+        pairs = zip(misses.swapaxes(0, 1), self.told.swapaxes(0, 1), strict=True)
+        each = [own[told] for own, told in pairs]
         return np.array([robust_scale(own) if len(own) else 0.0 for own in each])
-
-    @property
-    def _by_state(self) -> np.ndarray:
-        return self.told.swapaxes(0, 1)
 
     def unit(self, misses: np.ndarray) -> np.ndarray:
         """(k,) unit of the weights: ``width`` robust sizes of the residuals, not below rounding."""
@@ -619,7 +616,8 @@ def _fit(
         # Along time, so that signs that stay show correlated errors.
         misses = shooting.misses(constants, starts).transpose(2, 1, 0).ravel()
         misses = misses[shooting.told.transpose(2, 1, 0).ravel()]
-        return constants, _standard_errors(shooting, constants, starts), misses
+        variance = np.diag(_covariance(shooting, constants, starts))
+        return constants, np.sqrt(np.maximum(variance, 0)), misses
 
 
 def fit_loss(
@@ -631,10 +629,6 @@ def fit_loss(
             constants, starts, loss, settings.match_trials, gain=settings.match_gain
         )
     return constants, starts
-
-
-def _standard_errors(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(np.diag(_covariance(shooting, constants, starts)), 0))
 
 
 def _covariance(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> np.ndarray:

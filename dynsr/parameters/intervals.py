@@ -60,16 +60,12 @@ class Constant:
     @property
     def fitted_text(self) -> str:
         """The fitted number, with as many digits as its interval supports."""
-        return f"{self.fitted:.{self._digits}g}"
+        return f"{self.fitted:.{_digits_of(self.low, self.high)}g}"
 
     @property
     def interval_text(self) -> str:
         """The interval, to be read."""
         return write_interval(self.low, self.high)
-
-    @property
-    def _digits(self) -> int:
-        return _digits_of(self.low, self.high)
 
 
 def write_interval(low: float | None, high: float | None) -> str:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
 from dynsr.engines import Drive
 from dynsr.errors import InputError
 from dynsr.expression import bare_term, expand_terms, ratio_forms, shown
@@ -461,21 +460,16 @@ def _plans(
         yield _Plan(name, drive, own)
     begin = np.array([float(data.runs[0].t[0])])
     base = drives_of(driven, data.runs[:1], data.inputs)[0]
-    columns = {n: np.concatenate([_column(run, n) for run in data.runs]) for n in measured}
+    columns = {
+        n: np.concatenate([run.columns[:, run.names.index(n)] for run in data.runs])
+        for n in measured
+    }
     for name in measured:
         for share in settings.levels:
-            value = _level(columns[name], share)
+            value = float(columns[name].min() + share * np.ptp(columns[name]))
             held = {n: float(np.mean(own)) for n, own in columns.items()} | {name: value}
             drives = tuple(Drive(n, begin, np.array([[held[n]]])) for n in measured)
             yield _Plan(f"{name} = {value:.3g}", replace(base, drives=drives), starts)
-
-
-def _column(run: Trajectory, name: str) -> np.ndarray:
-    return np.asarray(run.columns[:, run.names.index(name)])
-
-
-def _level(column: np.ndarray, share: float) -> float:
-    return float(column.min() + share * np.ptp(column))
 
 
 @dataclass(frozen=True, eq=False)

@@ -436,15 +436,12 @@ class SystemComparison:
         """Columns that equations may hold, the time the last."""
         return (*self.names, "t")
 
-    @property
-    def _begun(self) -> np.ndarray:
-        """(names, n) values of the columns where the smoothed states are."""
-        return np.concatenate([self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]])
-
     @cached_property
     def angles(self) -> tuple[str, ...]:
         """Columns that may be angles: those that take both signs, or turn on and on."""
-        return find_turning(self.names, self._begun)
+        # Where the smoothed states are.
+        begun = [self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]]
+        return find_turning(self.names, np.concatenate(begun))
 
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""

@@ -140,7 +140,9 @@ def look(
     """
     if len(samples) < 2 * settings.most or not np.all(np.isfinite(samples.y)):
         return Look()
-    others = {s: _in_floats(expr) for s, expr in known.items()}
+    others = {
+        s: sympy.Add(*map(with_floats, sympy.Add.make_args(expr))) for s, expr in known.items()
+    }
     search = _Search(samples, limits or Limits(), settings, fit, others)
     with np.errstate(all="ignore"):
         # A twin may have the same constants.
@@ -474,10 +476,6 @@ class _Search:
         exprs += [c.expr for c in ranked[: settings.kept]]
         named = dict.fromkeys(exprs)
         return Look(tuple(score_candidate(e, self.samples, SOURCE) for e in named), final)
-
-
-def _in_floats(expr: sympy.Expr) -> sympy.Expr:
-    return sympy.Add(*map(with_floats, sympy.Add.make_args(expr)))
 
 
 def _is_law(seen: Look) -> bool:

@@ -155,9 +155,6 @@ class StochasticSearch:
         columns = self.series.columns
         return find_turning(self.names, [_filled(columns[name]) for name in self.names])
 
-    def _place(self, state: str) -> Place:
-        return Place(state, self.series.states, self.names, self._angles)
-
     def structure(self, drift: Equations, diffusion: Equations) -> float:
         """Bits of equations without their constants."""
         own = structure_of(drift, self.names, self.series.states, self._angles)
@@ -232,7 +229,7 @@ class StochasticSearch:
         others = [(s, e) for s, e in drift.items() if s != state and e != 0]
         return propose(
             evidence,
-            self._place(state),
+            Place(state, self.series.states, self.names, self._angles),
             self.demands.limits(state).check,
             self.demands.offered,
             others,
@@ -440,7 +437,11 @@ class StochasticSearch:
         state : whose drift is another one.
         """
         shapes: dict[sympy.Expr, StochasticFound] = {}
-        steps = [one for one in filter(None, self._cache.values()) if self._is_of_steps(one)]
+        steps = [
+            one
+            for one in filter(None, self._cache.values())
+            if one.fit.problem.series is self.steps
+        ]
         for one in sorted(steps, key=lambda own: own.bits):
             shapes.setdefault(skeleton(one.drift[state]), one)
         shapes.pop(skeleton(best.drift[state]), None)
@@ -453,9 +454,6 @@ class StochasticSearch:
             if bits < 0 or not own <= set(bodies_of(whole.drift[state])):
                 found.append((whole.drift[state], bits))
         return sorted(found, key=lambda pair: pair[1])
-
-    def _is_of_steps(self, found: StochasticFound) -> bool:
-        return found.fit.problem.series is self.steps
 
 
 def _fit_variances(rows: np.ndarray, squares: np.ndarray) -> np.ndarray:

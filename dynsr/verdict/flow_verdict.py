@@ -496,7 +496,7 @@ class _Bench:
                 rows=round_off(float(followed.independent[place]) * self.course.thinned),
                 terms=self._terms(state, evidence, followed),
                 alternatives=tuple(
-                    OtherFormula.of(e, bits) for e, bits in sorted(close, key=_bits)
+                    OtherFormula.of(e, bits) for e, bits in sorted(close, key=lambda pair: pair[1])
                 ),
             )
         rows = self._rows(followed, place)
@@ -658,7 +658,8 @@ class _Bench:
     ) -> list[str]:
         """Give what keeps an equation that follows the data from being a law."""
         settings, doubts = self.settings, []
-        if self._divides_by_zero(state):
+        # A denominator passes through 0 along a run, as no solution can.
+        if any(has_pole(self.equations[state], run.by_name) for run in self.course.runs):
             doubts.append("it divides by 0 between the data")
         if self.clean[place] and self._is_open(state):
             doubts.append(
@@ -707,11 +708,6 @@ class _Bench:
         loose = settings.excess + 4 * math.sqrt(2 / max(rows, 1))
         white = not evidence.systematic[place] or correlation < settings.correlated
         return white and chi <= (4 * loose if correlation < 0.1 else loose)
-
-    def _divides_by_zero(self, state: str) -> bool:
-        """Whether a line of the equation passes through 0 along a run, as no solution can."""
-        expr = self.equations[state]
-        return any(has_pole(expr, run.by_name) for run in self.course.runs)
 
     def _is_open(self, state: str) -> bool:
         """Whether an equation is one of many that are the same along every run."""
@@ -861,7 +857,3 @@ def _where(followed: Followed, place: int) -> str:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _bits(pair: tuple[sympy.Expr, float]) -> float:
-    return pair[1]

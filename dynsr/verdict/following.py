@@ -101,7 +101,8 @@ def open_constants(
                 # The line of all that there is goes without saying.
                 named = rest if len(written) == 1 else rest / bottom
                 places[symbol] = Place(state, named, float(coefficient * factor))
-                terms.append(symbol * _open_floats(_loose(rest), state, places) * over)
+                rest = loosen(rest).as_coeff_Mul()[1] if rest.free_symbols else rest
+                terms.append(symbol * _open_floats(rest, state, places) * over)
         opened[state] = sympy.Add(*terms)
     return opened, places
 
@@ -110,10 +111,6 @@ def _split(term: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
     """Give numerator and denominator; a denominator that is a number belongs to the term."""
     top, bottom = sympy.fraction(sympy.together(term), exact=True)
     return (top, bottom) if bottom.free_symbols else (term, sympy.S.One)
-
-
-def _loose(rest: sympy.Expr) -> sympy.Expr:
-    return loosen(rest).as_coeff_Mul()[1] if rest.free_symbols else rest
 
 
 def _open_floats(expr: sympy.Expr, state: str, places: dict[sympy.Symbol, Place]) -> sympy.Expr:

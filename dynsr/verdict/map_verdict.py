@@ -86,11 +86,8 @@ def give_map_verdict(
             for s, step in steps.items()
         }
     law = "every equation gives the next row within chance."
-    return summarise(states, _span(runs, settings), law)
-
-
-def _span(runs: Sequence[Trajectory], settings: VerdictSettings) -> float:
-    return settings.steps * float(np.median(np.diff(runs[0].t)))
+    span = settings.steps * float(np.median(np.diff(runs[0].t)))
+    return summarise(states, span, law)
 
 
 @dataclass(frozen=True, eq=False)
