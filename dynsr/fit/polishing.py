@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -83,10 +83,8 @@ def polish(
     """
     if confirmed is not None:
         return _with_errors(confirmed, runs, inputs, settings)
-    if data is not None:
-        return _polish_noisy(exprs, data, inputs, settings)
-    if is_noisy(runs):
-        return _polish_noisy(exprs, runs, inputs, settings)
+    if data is not None or is_noisy(runs):
+        return _Polishing(runs if data is None else data, inputs, settings).match(exprs)
     start = {s: snap(with_floats(e), samples[s], noise[s], settings) for s, e in exprs.items()}
     match = match_trajectories(start, runs, inputs=inputs, settings=settings)
     if match.success and len(match.misses):
@@ -125,84 +123,168 @@ def _plain(data: Data) -> Sequence[Trajectory]:
     return data.runs if isinstance(data, Measurements) else data
 
 
-def _fit(
-    exprs: Mapping[str, sympy.Expr],
-    data: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-    near: Fit | None = None,
-) -> Fit | None:
-    """Fit by collocation where smoothed curves are known, else over windows."""
-    if isinstance(data, Measurements) and not isinstance(near, StatesFit):
-        return fit_along(exprs, data, settings.along, near)
-    assert not isinstance(near, AlongFit)
-    return fit_states(exprs, _plain(data), inputs, settings, near=near)
-
-
 def _numbers(fit: Fit, taken: Mapping[int, sympy.Expr]) -> list[sympy.Expr]:
     """Give the constants, some of them with the numbers that were taken for them."""
     return [taken.get(i, number) for i, number in enumerate(as_floats(fit.constants))]
 
 
-def _fit_with(
-    fit: Fit,
-    taken: Mapping[int, sympy.Expr],
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> Fit | None:
-    """Fit all other constants again once some have numbers."""
-    return _fit(fit.put(_numbers(fit, taken)), runs, inputs, settings, near=fit)
+@dataclass(frozen=True, eq=False)
+class _Polishing:
+    """The fits of constants to noisy states, and the simple numbers that these allow.
 
+    Parameters
+    ----------
+    data : the trajectories, or the noisy states with their smoothed curves.
+    inputs : input name -> expression in ``t``, where it is known.
+    settings : the numbers that decide.
+    """
 
-def _polish_noisy(
-    exprs: Mapping[str, sympy.Expr],
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> Match:
-    """Fit all constants to the states, and take simple numbers."""
-    fit = _fit(loosen_all(exprs), runs, inputs, settings)
-    if len(exprs) > 1 and (fit is None or not _follows(fit, list(exprs), runs, settings)):
-        # One wrong equation would bend the constants of all: each reads the others off the data.
-        alone = [_polish_noisy({s: e}, runs, inputs, settings) for s, e in exprs.items()]
-        return _together(alone)
-    if fit is None:
-        return untouched_match(exprs, runs, inputs, settings)
-    numbers: list[sympy.Expr] = as_floats(fit.constants)
-    if settings.snap:
-        fit, whole = _whole_numbers(fit, runs, inputs, settings)
-        numbers = _simple_numbers(fit, whole, runs, inputs, settings)
-    final = {s: readable(e) for s, e in fit.put(numbers).items()}
-    loose = loosen_all(final)
-    free = _fit(loose, runs, inputs, settings, near=fit) or fit
-    _, values, owners = prepare(loose, _plain(runs), inputs)
-    errors, fitted = free.errors, free.constants
-    if not settings.snap and len(fitted) == len(values):
-        final, values = free.put(as_floats(fitted)), fitted.tolist()
-    if len(fitted) != len(values):
-        return untouched_match(final, runs, inputs, settings)
-    pairs = list(zip(owners, values, errors.tolist(), fitted.tolist(), strict=True))
-    return Match(
-        final,
-        {s: tuple((v, e) for owner, v, e, _ in pairs if owner == s) for s in exprs},
-        free.misses.transpose(2, 1, 0).ravel(),
-        True,
-        {s: tuple(f for owner, _, _, f in pairs if owner == s) for s in exprs},
-        interval_reach(free.freedom),
-    )
+    data: Data
+    inputs: Mapping[str, sympy.Expr]
+    settings: FitSettings
 
+    def match(self, exprs: Mapping[str, sympy.Expr]) -> Match:
+        """Fit all constants to the states, and take simple numbers."""
+        fit, settings = self._fit(loosen_all(exprs)), self.settings
+        if len(exprs) > 1 and (fit is None or not self._follows(fit, list(exprs))):
+            # One wrong equation would bend the constants of all: each reads the others off the
+            # data.
+            return _together([self.match({s: e}) for s, e in exprs.items()])
+        if fit is None:
+            return untouched_match(exprs, self.data, self.inputs, settings)
+        numbers: list[sympy.Expr] = as_floats(fit.constants)
+        if settings.snap:
+            fit, whole = self._whole_numbers(fit)
+            numbers = self._simple_numbers(fit, whole)
+        final = {s: readable(e) for s, e in fit.put(numbers).items()}
+        loose = loosen_all(final)
+        free = self._fit(loose, near=fit) or fit
+        _, values, owners = prepare(loose, _plain(self.data), self.inputs)
+        errors, fitted = free.errors, free.constants
+        if not settings.snap and len(fitted) == len(values):
+            final, values = free.put(as_floats(fitted)), fitted.tolist()
+        if len(fitted) != len(values):
+            return untouched_match(final, self.data, self.inputs, settings)
+        pairs = list(zip(owners, values, errors.tolist(), fitted.tolist(), strict=True))
+        return Match(
+            final,
+            {s: tuple((v, e) for owner, v, e, _ in pairs if owner == s) for s in exprs},
+            free.misses.transpose(2, 1, 0).ravel(),
+            True,
+            {s: tuple(f for owner, _, _, f in pairs if owner == s) for s in exprs},
+            interval_reach(free.freedom),
+        )
 
-def _follows(fit: Fit, states: Sequence[str], runs: Data, settings: FitSettings) -> bool:
-    """Say whether the residuals of every state are of the size of its measurement noise."""
-    if isinstance(fit, AlongFit):
-        return bool(np.all(fit.found.mean_squares - fit.found.allowed <= settings.followed**2))
-    runs = _plain(runs)
-    noise, spread = noise_and_spread(runs)
-    columns = [runs[0].index(state) for state in states]
-    # Noise is estimated too; what a clean state misses by less than this share is no fault.
-    sizes = np.maximum(noise, NOISY * spread)[columns]
-    return bool(np.all(fit.sizes <= settings.followed * sizes))
+    def _fit(self, exprs: Mapping[str, sympy.Expr], near: Fit | None = None) -> Fit | None:
+        """Fit by collocation where smoothed curves are known, else over windows."""
+        settings = self.settings
+        if isinstance(self.data, Measurements) and not isinstance(near, StatesFit):
+            return fit_along(exprs, self.data, settings.along, near)
+        assert not isinstance(near, AlongFit)
+        return fit_states(exprs, _plain(self.data), self.inputs, settings, near=near)
+
+    def _fit_with(self, fit: Fit, taken: Mapping[int, sympy.Expr]) -> Fit | None:
+        """Fit all other constants again once some have numbers."""
+        return self._fit(fit.put(_numbers(fit, taken)), near=fit)
+
+    def _follows(self, fit: Fit, states: Sequence[str]) -> bool:
+        """Say whether the residuals of every state are of the size of its measurement noise."""
+        if isinstance(fit, AlongFit):
+            allowed = fit.found.mean_squares - fit.found.allowed
+            return bool(np.all(allowed <= self.settings.followed**2))
+        runs = _plain(self.data)
+        noise, spread = noise_and_spread(runs)
+        columns = [runs[0].index(state) for state in states]
+        # Noise is estimated too; what a clean state misses by less than this share is no fault.
+        sizes = np.maximum(noise, NOISY * spread)[columns]
+        return bool(np.all(fit.sizes <= self.settings.followed * sizes))
+
+    def _whole_numbers(self, fit: Fit) -> tuple[Fit, dict[int, sympy.Expr]]:
+        """Give the constants that are whole numbers up to the errors of the states' own solver.
+
+        States made by a solver of loose tolerance follow the law only up to its errors, which a
+        chaotic system amplifies over long windows until noise no longer hides them, so that the
+        fit comes to rest many standard errors away from the law. Over short windows whole numbers,
+        which are used most, are taken where misses rise by less than the share
+        ``settings.solver``. Gives the fit to go on from too: the one over short windows where
+        these numbers need it.
+        """
+        settings = self.settings
+        near = [(i, round(float(v))) for i, v in enumerate(fit.constants)]
+        whole = {
+            i: sympy.Integer(n)
+            for i, n in near
+            if n != 0 and abs(n - fit.constants[i]) <= settings.near * abs(n)
+        }
+        near_enough = {i: n for i, n in whole.items() if _distance(fit, i, n) <= reach(n, settings)}
+        if near_enough == whole and (not whole or self._allowed(fit, whole)):
+            return fit, whole
+        # A solver bends constants by little: what is further off is another number.
+        whole = {i: n for i, n in whole.items() if abs(n - fit.constants[i]) <= _BENT * abs(n)}
+        if not whole:
+            return fit, {}
+        shortest = replace(settings, match_longest=_SHORT)
+        exprs = fit.put(as_floats(fit.constants))
+        short = fit_states(exprs, _plain(self.data), self.inputs, shortest)
+        if short is None:
+            return fit, {}
+        order = _places(fit, as_floats(fit.constants))
+        whole = {place: whole[i] for place, i in enumerate(order) if i in whole}
+        if self._allowed(short, whole):
+            return fit, {}
+        again = self._fit_with(short, whole)
+        rise = math.inf if again is None else short.ratio(again) / short.misses.size
+        return (short, whole) if rise <= settings.solver else (fit, {})
+
+    def _allowed(self, fit: Fit, taken: Mapping[int, sympy.Expr]) -> bool:
+        """Say whether the likelihood ratio allows these numbers together.
+
+        At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are
+        factors 1.
+        """
+        again = self._fit_with(fit, taken)
+        beyond = chdtrc(1, self.settings.surely_zero**2)
+        return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)
+
+    def _simple_numbers(self, fit: Fit, whole: Mapping[int, sympy.Expr]) -> list[sympy.Expr]:
+        """Give each constant its simple number where one by one and jointly the data allow it.
+
+        Those in ``whole`` have theirs, and constants that are one have the same.
+        Those that have none are fitted again and written with the digits their errors support.
+        """
+        base = (self._fit_with(fit, whole) if whole else None) or fit
+        ties = _ties(fit, list(whole), self.settings)
+        taken = {**whole, **_simple_together(fit, whole, ties, self.settings)}
+        while True:
+            again = self._fit_with(fit, taken) if taken else fit
+            more = [i for i in taken if i not in whole]
+            allowed = chdtri(len(more), 1 - self.settings.joint) if more else math.inf
+            if again is None and not more:
+                again, taken = fit, {}
+            elif again is None or base.ratio(again) > allowed:
+                worst = max(more, key=lambda i: _distance(fit, i, taken[i]))
+                taken = {i: number for i, number in taken.items() if i not in ties.partners[worst]}
+                continue
+            break
+        every = range(len(fit.constants))
+        order = list(every if again is fit else _places(fit, _numbers(fit, taken)))
+        rest = dict(zip(order, self._write_tied(again), strict=True))
+        return [
+            taken[i] if i in taken else sympy.Float(rest[i] if i in rest else written_constant(*at))
+            for i, at in enumerate(zip(fit.constants, fit.errors, strict=True))
+        ]
+
+    def _write_tied(self, fit: Fit) -> list[float]:
+        """Give the numbers with which constants of a fit are written; those that are one, alike."""
+        ties = _ties(fit, (), self.settings)
+        if ties.count:
+            numbers = [sympy.Rational(float(v)) for v in ties.values]
+            held = self._fit(fit.put(numbers), near=fit)
+            # The others rest where the linearised fit has them, which may cost as much as one more.
+            allowed = chdtri(ties.count + 1, 1 - self.settings.joint)
+            if held is None or fit.ratio(held) > allowed:
+                ties = Ties.untied(fit.constants, fit.covariance)
+        return _write(ties)
 
 
 def _together(alone: Sequence[Match]) -> Match:
@@ -250,96 +332,6 @@ def loosen_all(exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
     {'q': v, 'v': -2.0*q}
     """
     return {s: e if e.is_Symbol or e == 0 else loosen(e) for s, e in exprs.items()}
-
-
-def _whole_numbers(
-    fit: Fit,
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> tuple[Fit, dict[int, sympy.Expr]]:
-    """Give the constants that are whole numbers up to the errors of the states' own solver.
-
-    States made by a solver of loose tolerance follow the law only up to its errors, which a
-    chaotic system amplifies over long windows until noise no longer hides them, so that the fit
-    comes to rest many standard errors away from the law. Over short windows whole numbers, which
-    are used most, are taken where misses rise by less than the share ``settings.solver``. Gives
-    the fit to go on from too: the one over short windows where these numbers need it.
-    """
-    near = [(i, round(float(v))) for i, v in enumerate(fit.constants)]
-    whole = {
-        i: sympy.Integer(n)
-        for i, n in near
-        if n != 0 and abs(n - fit.constants[i]) <= settings.near * abs(n)
-    }
-    near_enough = {i: n for i, n in whole.items() if _distance(fit, i, n) <= reach(n, settings)}
-    if near_enough == whole and (not whole or _allowed(fit, whole, runs, inputs, settings)):
-        return fit, whole
-    # A solver bends constants by little: what is further off is another number.
-    whole = {i: n for i, n in whole.items() if abs(n - fit.constants[i]) <= _BENT * abs(n)}
-    if not whole:
-        return fit, {}
-    shortest = replace(settings, match_longest=_SHORT)
-    short = fit_states(fit.put(as_floats(fit.constants)), _plain(runs), inputs, shortest)
-    if short is None:
-        return fit, {}
-    order = _places(fit, as_floats(fit.constants))
-    whole = {place: whole[i] for place, i in enumerate(order) if i in whole}
-    if _allowed(short, whole, runs, inputs, settings):
-        return fit, {}
-    again = _fit_with(short, whole, runs, inputs, settings)
-    rise = math.inf if again is None else short.ratio(again) / short.misses.size
-    return (short, whole) if rise <= settings.solver else (fit, {})
-
-
-def _allowed(
-    fit: Fit,
-    taken: Mapping[int, sympy.Expr],
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> bool:
-    """Say whether the likelihood ratio allows these numbers together.
-
-    At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are factors 1.
-    """
-    again = _fit_with(fit, taken, runs, inputs, settings)
-    beyond = chdtrc(1, settings.surely_zero**2)
-    return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)
-
-
-def _simple_numbers(
-    fit: Fit,
-    whole: Mapping[int, sympy.Expr],
-    runs: Data,
-    inputs: Mapping[str, sympy.Expr],
-    settings: FitSettings,
-) -> list[sympy.Expr]:
-    """Give each constant its simple number where one by one and jointly the data allow it.
-
-    Those in ``whole`` have theirs, and constants that are one have the same.
-    Those that have none are fitted again and written with the digits their errors support.
-    """
-    base = (_fit_with(fit, whole, runs, inputs, settings) if whole else None) or fit
-    ties = _ties(fit, list(whole), settings)
-    taken = {**whole, **_simple_together(fit, whole, ties, settings)}
-    while True:
-        again = _fit_with(fit, taken, runs, inputs, settings) if taken else fit
-        more = [i for i in taken if i not in whole]
-        allowed = chdtri(len(more), 1 - settings.joint) if more else math.inf
-        if again is None and not more:
-            again, taken = fit, {}
-        elif again is None or base.ratio(again) > allowed:
-            worst = max(more, key=lambda i: _distance(fit, i, taken[i]))
-            taken = {i: number for i, number in taken.items() if i not in ties.partners[worst]}
-            continue
-        break
-    order = list(range(len(fit.constants)) if again is fit else _places(fit, _numbers(fit, taken)))
-    rest = dict(zip(order, _write_tied(again, runs, inputs, settings), strict=True))
-    return [
-        taken[i] if i in taken else sympy.Float(rest[i] if i in rest else written_constant(*own))
-        for i, own in enumerate(zip(fit.constants, fit.errors, strict=True))
-    ]
 
 
 def simple_numbers(
@@ -396,20 +388,6 @@ def _ties(fit: Estimate, held: Sequence[int], settings: FitSettings) -> Ties:
     symbols = [sympy.Symbol(f"constant {i}") for i in range(len(fit.constants))]
     shapes, known = fit.put(symbols), frozenset(held)
     return find_ties(shapes, symbols, fit.constants, fit.covariance, settings, known)
-
-
-def _write_tied(
-    fit: Fit, runs: Data, inputs: Mapping[str, sympy.Expr], settings: FitSettings
-) -> list[float]:
-    """Give the numbers with which the constants of a fit are written; those that are one, alike."""
-    ties = _ties(fit, (), settings)
-    if ties.count:
-        numbers = [sympy.Rational(float(v)) for v in ties.values]
-        held = _fit(fit.put(numbers), runs, inputs, settings, near=fit)
-        # The others rest where the linearised fit has them, which may cost as much as one more.
-        if held is None or fit.ratio(held) > chdtri(ties.count + 1, 1 - settings.joint):
-            ties = Ties.untied(fit.constants, fit.covariance)
-    return _write(ties)
 
 
 def _places(fit: Fit, numbers: Sequence[sympy.Expr]) -> list[int]:

@@ -308,10 +308,11 @@ def suggest(
     times = times + float(longest.t[0])
     noise = _noise_of(data, list(equations)) * math.sqrt(answer.scale)
     models = [_model(answer, data, settings), *(_model(fit, data, settings) for _, fit in taken)]
-    tried = _Trial(models, [own.bits for own, _ in taken], times, noise, _range(data, equations))
+    behind = [own.bits for own, _ in taken]
+    tried = _Trial(models, behind, times, noise, _range(data, equations), settings)
     states, driven = list(equations), _driven(models, data)
     plans = list(_plans(data, states, driven, tried.range, rng, settings))
-    found = [own for plan in plans for own in tried.experiments(plan, states, settings)]
+    found = [own for plan in plans for own in tried.experiments(plan, states)]
     first = [own for own in found if own.again]
     others_tried = [own for own in found if not own.again]
     if not others_tried:
@@ -319,10 +320,10 @@ def suggest(
             f"the equations cannot be integrated over an experiment of {np.ptp(times):.4g}; ask "
             "for a shorter span"
         )
-    near = tried.best_of(others_tried, settings, settings.refined)
-    again = next((tried.refine(own, settings) for own in first), None)
-    near = [tried.refine(own, settings) for own in near]
-    best = tried.best_of(near, settings, settings.shown)
+    near = tried.best_of(others_tried, settings.refined)
+    again = next((tried.refine(own) for own in first), None)
+    near = [tried.refine(own) for own in near]
+    best = tried.best_of(near, settings.shown)
     return Suggestion(
         tuple(own.experiment for own in best),
         None if again is None else again.experiment,
@@ -483,6 +484,7 @@ class _Trial:
     times : (n,) rows of an experiment.
     noise : (k,) standard deviation of the noise of each state.
     range : (2, k) lowest and highest value of each state so far.
+    settings : the numbers that decide.
     """
 
     models: Sequence[_Model]
@@ -490,29 +492,21 @@ class _Trial:
     times: np.ndarray
     noise: np.ndarray
     range: np.ndarray
+    settings: SuggestionSettings
 
-    def experiments(
-        self, plan: _Plan, states: Sequence[str], settings: SuggestionSettings
-    ) -> Iterator[_Tried]:
-        """Give each experiment that can be made, with what it shows along a line.
-
-        Parameters
-        ----------
-        plan : the experiments.
-        states : names of the states.
-        settings : the numbers that decide.
-        """
-        courses = [self._follow(model, plan, None, settings) for model in self.models]
-        again = len(plan.starts[0]) > settings.starts
+    def experiments(self, plan: _Plan, states: Sequence[str]) -> Iterator[_Tried]:
+        """Give each experiment that can be made, with what it shows along a line."""
+        courses = [self._follow(model, plan, None) for model in self.models]
+        again = len(plan.starts[0]) > self.settings.starts
         for lane, start in enumerate(plan.starts.T):
             finite = all(np.all(np.isfinite(own.found[lane])) for own in courses)
-            if not finite or not self._is_near(courses[0].found[lane], settings):
+            if not finite or not self._is_near(courses[0].found[lane]):
                 continue
             each = tuple(
                 min(self._apart(0, i, courses, lane), self._apart(i, 0, courses, lane))
                 for i in range(1, len(courses))
             )
-            bits = self._mean(each, settings) if each else self._told(courses[0], lane)
+            bits = self._mean(each) if each else self._told(courses[0], lane)
             named = dict(zip(states, start.tolist(), strict=True))
             shape = (len(courses), len(self.times), -1)
             yield _Tried(
@@ -530,47 +524,45 @@ class _Trial:
         """(k,) width of the range of each state."""
         return np.maximum(self.range[1] - self.range[0], 1e-300)
 
-    def _mean(self, each: Sequence[float], settings: SuggestionSettings) -> float:
+    def _mean(self, each: Sequence[float]) -> float:
         """Bits to be expected: those of each alternative by its probability."""
         weights = np.exp2(-np.maximum(self.behind, 0.0))
-        return float(np.average(np.minimum(each, settings.enough), weights=weights))
+        return float(np.average(np.minimum(each, self.settings.enough), weights=weights))
 
-    def refine(self, own: _Tried, settings: SuggestionSettings) -> _Tried:
+    def refine(self, own: _Tried) -> _Tried:
         """Fit each system to what the other does, where before only a line was followed."""
         if len(self.models) == 1:
             return own
         each = tuple(
-            min(self._fitted_apart(0, i, own, settings), self._fitted_apart(i, 0, own, settings))
+            min(self._fitted_apart(0, i, own), self._fitted_apart(i, 0, own))
             for i in range(1, len(self.models))
         )
-        bits = self._mean(each, settings)
+        bits = self._mean(each)
         return replace(own, experiment=replace(own.experiment, bits=bits, each=each))
 
-    def _fitted_apart(
-        self, true: int, fitted: int, own: _Tried, settings: SuggestionSettings
-    ) -> float:
+    def _fitted_apart(self, true: int, fitted: int, own: _Tried) -> float:
         """Bits between two models where one is true and the other is fitted, by damped steps."""
         aim, model = own.curves[true].ravel(), self.models[fitted]
         scale = self._scale(model)
         begin = np.concatenate([own.plan.starts[:, 0], model.constants])
         moved, cost, damping = np.zeros(len(begin)), math.inf, 0.0
         step = moved
-        for _ in range(settings.steps):
+        for _ in range(self.settings.steps):
             tried = moved + step
             at = (begin + scale @ tried)[:, None]
-            course = self._follow(model, own.plan, at, settings)
+            course = self._follow(model, own.plan, at)
             gap = aim - course.found[0]
             reached = float(gap @ gap + tried @ tried) if np.all(np.isfinite(gap)) else math.inf
             if reached < cost and np.all(np.isfinite(course.moves)):
                 gained, moved, cost = cost - reached, tried, reached
-                damping /= settings.damping
-                if gained < settings.error:
+                damping /= self.settings.damping
+                if gained < self.settings.error:
                     break
             elif not np.any(step):
                 return 0.0
             else:
-                damping = max(settings.damping * damping, 1.0)
-                course = self._follow(model, own.plan, (begin + scale @ moved)[:, None], settings)
+                damping = max(self.settings.damping * damping, 1.0)
+                course = self._follow(model, own.plan, (begin + scale @ moved)[:, None])
                 gap = aim - course.found[0]
             slopes = course.moves[0] @ scale
             root = np.eye(len(moved))
@@ -587,22 +579,19 @@ class _Trial:
         found[k:, k:] = model.spread
         return found
 
-    def best_of(
-        self, tried: Sequence[_Tried], settings: SuggestionSettings, most: int
-    ) -> list[_Tried]:
+    def best_of(self, tried: Sequence[_Tried], most: int) -> list[_Tried]:
         """Give the best experiments, the best first, none like one before it.
 
         Parameters
         ----------
         tried : all of them.
-        settings : the numbers that decide.
         most : experiments at most.
         """
         found: list[_Tried] = []
         for own in sorted(tried, key=lambda one: (-one.experiment.bits, one.outside)):
             near = (
                 np.max(np.abs(own.plan.starts - one.plan.starts)[:, 0] / self._width)
-                < settings.apart
+                < self.settings.apart
                 for one in found
                 if one.plan.label == own.plan.label
             )
@@ -612,17 +601,15 @@ class _Trial:
                 break
         return found
 
-    def _is_near(self, found: np.ndarray, settings: SuggestionSettings) -> bool:
+    def _is_near(self, found: np.ndarray) -> bool:
         """Whether the answer stays near what the states were."""
         low, high = self.range
         told = np.isfinite(self.noise)
         x = (found.reshape(len(self.times), -1) * np.where(told, self.noise, 0.0))[:, told]
-        room = settings.farthest * (high - low)[told]
+        room = self.settings.farthest * (high - low)[told]
         return bool(np.all(x >= low[told] - room) and np.all(x <= high[told] + room))
 
-    def _follow(
-        self, model: _Model, plan: _Plan, at: np.ndarray | None, settings: SuggestionSettings
-    ) -> _Courses:
+    def _follow(self, model: _Model, plan: _Plan, at: np.ndarray | None) -> _Courses:
         """Integrate a model through all experiments, in steps that are short enough.
 
         ``at`` (k + P, W) are starts and constants; by default those of plan and model.
@@ -645,11 +632,11 @@ class _Trial:
         shooting, nothing = Shooting(model.flow, windows, noise, True), np.empty(0)
         with np.errstate(all="ignore"):
             coarse = shooting.misses(nothing, at)
-            for pace in finer_paces(1, settings.finest):
+            for pace in finer_paces(1, self.settings.finest):
                 shooting = replace(shooting, pace=pace)
                 fine = shooting.misses(nothing, at)
                 off = np.max(np.abs(fine - coarse), axis=(0, 1))
-                if np.all((off < settings.error) | ~np.isfinite(off)):
+                if np.all((off < self.settings.error) | ~np.isfinite(off)):
                     break
                 coarse = fine
             z, _, moves = shooting.linearise(nothing, at)

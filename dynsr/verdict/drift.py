@@ -113,12 +113,14 @@ class TermsInTime:
     terms : the p terms.
     values : (n, p) what they are on the rows of the data.
     functions : those that are functions of the time alone with a constant inside.
+    settings : the numbers that decide.
     place : where the equation is, for what textbooks would say of a term.
     """
 
     terms: tuple[sympy.Expr, ...]
     values: np.ndarray
     functions: Collection[sympy.Expr]
+    settings: DriftSettings
     place: Place
 
     @classmethod
@@ -153,7 +155,7 @@ class TermsInTime:
         finite = [bool(np.all(np.isfinite(v))) for v in values]
         terms, columns_of = (tuple(compress(some, finite)) for some in (every, values))
         moved = {e for e in alone if e.atoms(sympy.Float)}
-        return cls(terms, np.array(columns_of).T, moved, place_among(state, columns))
+        return cls(terms, np.array(columns_of).T, moved, settings, place_among(state, columns))
 
     @cached_property
     def inside(self) -> tuple[sympy.Expr, ...]:
@@ -258,25 +260,22 @@ class Lines:
     rows: float
     least: float = 0.0
 
-    def propose(
-        self, expr: sympy.Expr, library: TermsInTime, settings: DriftSettings = DRIFT
-    ) -> list[sympy.Expr]:
+    def propose(self, expr: sympy.Expr, library: TermsInTime) -> list[sympy.Expr]:
         """Give the most probable formulas: with more terms than the equation, and with the time.
 
         Parameters
         ----------
         expr : the equation.
         library : the terms that the design is of.
-        settings : how many.
         """
-        basis = orthogonal(self.own)
+        settings, basis = library.settings, orthogonal(self.own)
         rest = self.misses - basis @ (basis.T @ self.misses)
         now = self._bits(float(rest @ rest))
         most = len(sympy.Add.make_args(expr)) + settings.more
         enough = now + formula_bits(expr, self.rows, library.place) + settings.margin
-        found = [expr + one for one in self._beside(rest, basis, now, library, settings)]
+        found = [expr + one for one in self._beside(rest, basis, now, library)]
         for kind in library.kinds:
-            found += self._instead(kind, most, enough, library, settings)
+            found += self._instead(kind, most, enough, library)
         return list(dict.fromkeys(found))
 
     def _beside(
@@ -285,7 +284,6 @@ class Lines:
         basis: np.ndarray,
         now: float,
         library: TermsInTime,
-        settings: DriftSettings,
     ) -> list[sympy.Expr]:
         """Give the terms that are likely to be missing in an equation."""
         own = self.design[:, : len(library.terms)]
@@ -296,7 +294,8 @@ class Lines:
         if not len(news):
             return []
         costs = library.costs(self.rows)[news]
-        best = self._best(left[:, news], rest, costs, settings.beside, settings)
+        settings = library.settings
+        best = self._best(left[:, news], rest, costs, settings.beside, settings.beam)
         better = [one for one in best if one.bits < now][: settings.fitted]
         return [library.add_up(one, news[list(one.places)]) for one in better]
 
@@ -306,14 +305,14 @@ class Lines:
         most: int,
         enough: float,
         library: TermsInTime,
-        settings: DriftSettings,
     ) -> list[sympy.Expr]:
         """Give the likely sums of terms of a kind that contain the time."""
         inside = library.slopes[kind]
         slopes = np.where(inside >= 0, len(kind) + np.cumsum(inside >= 0) - 1, -1)
         design = self.design[:, [*kind, *inside[inside >= 0]]]
         costs = library.costs(self.rows)[kind]
-        sums = self._best(design, self.target, costs, most, settings, slopes)
+        settings = library.settings
+        sums = self._best(design, self.target, costs, most, settings.beam, slopes)
         pairs = [(one, kind[list(one.places)]) for one in sums if one.bits < enough]
         timed = [pair for pair in pairs if library.timed[pair[1]].any()]
         return [library.add_up(*pair) for pair in timed[: settings.fitted]]
@@ -324,7 +323,7 @@ class Lines:
         target: np.ndarray,
         costs: np.ndarray,
         most: int,
-        settings: DriftSettings,
+        beam: int,
         slopes: np.ndarray | None = None,
     ) -> list[Subset]:
         return best_subsets(
@@ -333,9 +332,9 @@ class Lines:
             float(target @ target),
             costs,
             self.rows,
-            beam=settings.beam,
+            beam=beam,
             most=most,
-            keep=settings.beam * (most + len(costs)),
+            keep=beam * (most + len(costs)),
             least=self.least,
             slopes=slopes,
         )
@@ -407,7 +406,7 @@ def drift_of_rows(
     basis = orthogonal(own)
     least = float(np.mean((misses - basis @ (basis.T @ misses)) ** 2))
     found = []
-    for one in lines.propose(expr, library, settings):
+    for one in lines.propose(expr, library):
         other = refit(one, timed)
         squares = float(np.mean((samples.y - evaluate(other, columns)) ** 2))
         if not math.isfinite(squares) or same_form(other, expr):

@@ -100,9 +100,9 @@ class Along:
         found = {}
         for state, lines in self._lines(libraries, now).items():
             library, expr = libraries[state], self.equations[state]
-            others = lines.propose(expr, library, self.settings)
+            others = lines.propose(expr, library)
             if state in weak:
-                others += self._integrals(state, library).propose(expr, library, self.settings)
+                others += self._integrals(state, library).propose(expr, library)
             tried = [self._compare(library.place, one, now) for one in others]
             best = min(filter(None, tried), key=lambda one: one.bits, default=None)
             if best is not None and best.bits < 0:
