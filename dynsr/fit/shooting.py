@@ -380,17 +380,24 @@ def match_trajectories(
     """
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     flow, values, owners = prepare(exprs, runs, inputs or {})
-    free = is_noisy(runs)
     if min(map(len, runs)) < 3:
         return Match.untouched(exprs, success=not len(values))
-    length = window or _window_length(runs, free)
-    shooting = build_shooting(flow, runs, inputs or {}, length, free, settings)
+    shooting = _usual_shooting(flow, runs, inputs or {}, settings, window)
     fitted = _fit(shooting, np.array(values), settings)
     return Match.untouched(exprs) if fitted is None else _match(flow, owners, *fitted)
 
 
-def _window_length(runs: Sequence[Trajectory], free: bool) -> int:
-    return first_length(max(map(len, runs))) if free else INTERVALS
+def _usual_shooting(
+    flow: Flow,
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings,
+    window: int | None = None,
+) -> Shooting:
+    """Cut runs into the windows that clean data, or noisy ones, ask for."""
+    free = is_noisy(runs)
+    usual = first_length(max(map(len, runs))) if free else INTERVALS
+    return build_shooting(flow, runs, inputs, window or usual, free, settings)
 
 
 def first_length(length: int) -> int:
@@ -477,9 +484,7 @@ def measure_covariance(
     """
     if not len(values) or min(map(len, runs)) < 3:
         return np.full((len(values),) * 2, np.inf)
-    free = is_noisy(runs)
-    length = _window_length(runs, free)
-    shooting = build_shooting(flow, runs, inputs, length, free, settings)
+    shooting = _usual_shooting(flow, runs, inputs, settings)
     fixed = replace(shooting, flow=flow.closed(values))
     with np.errstate(all="ignore"):
         starts = shooting.windows.x[0]
@@ -508,9 +513,7 @@ def fitted_values(
     """
     flow, values, owners = prepare(exprs, runs, inputs)
     if len(values) and min(map(len, runs)) >= 3:
-        free = is_noisy(runs)
-        length = _window_length(runs, free)
-        shooting = build_shooting(flow, runs, inputs, length, free, settings)
+        shooting = _usual_shooting(flow, runs, inputs, settings)
         near = replace(settings, match_losses=settings.match_losses[-1:])
         fitted = _fit(shooting, np.array(values), near)
         values = values if fitted is None else fitted[0].tolist()

@@ -128,33 +128,31 @@ def fit_states(
     flow, values, _ = prepare(exprs, runs, inputs)
     if min(map(len, runs)) < 3:
         return None
-    constants = np.array(values, dtype=float)
+    constants, last = np.array(values, dtype=float), _last(settings)
     if near is not None:
         # A column that only the other equations read still stands in their windows.
         taken = near.shooting.flow
         flow = replace(flow, driven=taken.driven, stride=taken.stride)
-        start = replace(near.shooting, flow=flow)
-        return _end(start, _descend(start, constants, near.starts, _last(settings)))
+        begun = _Descent(replace(near.shooting, flow=flow), constants, near.starts)
+        return _end(begun.fitted(last))
     longest = max(map(len, runs)) - 1
-    first = first_length(longest)
-    best: tuple[Shooting, np.ndarray, np.ndarray] | None = None
-    for length in _lengths(first, min(longest, settings.match_longest)):
-        trial = build_shooting(flow, runs, inputs, length, True, settings)
-        begin = trial.windows.x[0] if best is None else _carry(best[0], best[2], best[1], trial)
-        if best is not None and not _in_reach(best, trial, begin, settings):
+    best: _Descent | None = None
+    for length in _lengths(first_length(longest), min(longest, settings.match_longest)):
+        longer = build_shooting(flow, runs, inputs, length, True, settings)
+        if best is None:
+            trial = _Descent(longer, constants, longer.windows.x[0])
+        else:
+            trial = _Descent(longer, best.constants, best.starts_of(longer))
+            if not best.reaches(trial, settings):
+                break
+        fitted = trial.in_steps(settings).fitted(settings if best is None else last)
+        if fitted is None or (best is not None and best.is_below(fitted, settings)):
             break
-        trial = _step(trial, constants, begin, settings)
-        fitted = _descend(trial, constants, begin, settings if best is None else _last(settings))
-        if fitted is None or (best is not None and _grows(best, (trial, *fitted), settings)):
-            break
-        best, constants = (trial, *fitted), fitted[0]
+        best = fitted
     if best is None:
         return None
-    shooting, constants, starts = best
-    shooting = _weigh(shooting, constants, starts)
-    if shooting is not best[0]:
-        return _end(shooting, _descend(shooting, constants, starts, _last(settings)))
-    return _end(shooting, (constants, starts))
+    weighed = best.weighed()
+    return _end(best if weighed is best else weighed.fitted(last))
 
 
 def _last(settings: FitSettings) -> FitSettings:
@@ -162,24 +160,122 @@ def _last(settings: FitSettings) -> FitSettings:
     return replace(settings, match_losses=settings.match_losses[-1:])
 
 
-def _in_reach(
-    best: tuple[Shooting, np.ndarray, np.ndarray],
-    longer: Shooting,
-    begin: np.ndarray,
-    settings: FitSettings,
-) -> bool:
-    """Say whether longer windows begin with residuals that a descent can bring down.
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """Constants and starts of windows, on the way to the best ones.
 
-    Where errors grow so much within a window, as in chaos, its residuals have a minimum at every
-    turn, and a descent of hundreds of steps would end in one of them.
+    Parameters
+    ----------
+    shooting : the residuals over the windows.
+    constants, starts : (P,) and (k, W) so far.
     """
-    shooting, constants, starts = best
-    with np.errstate(all="ignore"):
-        now = _large(shooting, shooting.misses(constants, starts))
-        flow = replace(longer.flow, stride=shooting.flow.stride)
-        at = replace(longer, flow=flow, pace=shooting.pace)
-        then = _large(at, at.misses(constants, begin))
-    return bool(np.all(then <= settings.match_reach * now))
+
+    shooting: Shooting
+    constants: np.ndarray
+    starts: np.ndarray
+
+    @property
+    def misses(self) -> np.ndarray:
+        """(rows, k, W) residuals."""
+        return self.shooting.misses(self.constants, self.starts)
+
+    def reaches(self, longer: _Descent, settings: FitSettings) -> bool:
+        """Say whether longer windows begin with residuals that a descent can bring down.
+
+        Where errors grow so much within a window, as in chaos, its residuals have a minimum at
+        every turn, and a descent of hundreds of steps would end in one of them.
+        """
+        with np.errstate(all="ignore"):
+            now = _large(self.shooting, self.misses)
+            flow = replace(longer.shooting.flow, stride=self.shooting.flow.stride)
+            at = replace(longer.shooting, flow=flow, pace=self.shooting.pace)
+            then = _large(at, at.misses(self.constants, longer.starts))
+        return bool(np.all(then <= settings.match_reach * now))
+
+    def in_steps(self, settings: FitSettings) -> _Descent:
+        """Take the longest step of the integration that moves states less than their residuals."""
+        shooting, at = self.shooting, (self.constants, self.starts)
+        steps = np.diff(shooting.windows.t, axis=0)
+        even = np.ptp(steps) <= 1e-6 * np.mean(steps) and not shooting.windows.jumps
+        strides = _STRIDES if even else (1,)
+        with np.errstate(all="ignore"):
+            trials = [replace(shooting, flow=replace(shooting.flow, stride=s)) for s in strides]
+            longer, misses = trials[0], trials[0].misses(*at)
+            for shorter in trials[1:]:
+                finer = shorter.misses(*at)
+                moved, size = np.max(np.abs(finer - misses)), np.median(np.abs(finer))
+                if moved < STEP_ERROR * size:
+                    return replace(self, shooting=longer)
+                longer, misses = shorter, finer
+            pace = choose_pace(longer, *at, settings.match_substeps)
+        return replace(self, shooting=replace(longer, pace=pace))
+
+    def fitted(self, settings: FitSettings) -> _Descent | None:
+        """Fit constants and starts; None where the first or the last integration diverges."""
+        with np.errstate(all="ignore"):
+            if not np.all(np.isfinite(self.shooting.unit(self.misses))):
+                return None
+            constants, starts = fit_loss(self.shooting, self.constants, self.starts, settings)
+            found = _Descent(self.shooting, constants, starts)
+            return found if np.all(np.isfinite(found.misses)) else None
+
+    def starts_of(self, longer: Shooting) -> np.ndarray:
+        """Give starts of longer windows, (k, W), from the states that these windows came to."""
+        windows, found = self.shooting.windows, self._run()
+        known = {
+            (float(windows.t[row, lane]), *windows.x[row, :, lane].tolist()): found[row, :, lane]
+            for lane in range(windows.t.shape[1])
+            for row in range(len(windows.t))
+        }
+        own = longer.windows
+        begin = own.x[0].copy()
+        for lane in range(own.t.shape[1]):
+            key = (float(own.t[0, lane]), *own.x[0, :, lane].tolist())
+            if key in known and np.all(np.isfinite(known[key])):
+                begin[:, lane] = known[key]
+        return begin
+
+    def _run(self) -> np.ndarray:
+        """(rows + 1, k, W) the states."""
+        shooting = self.shooting
+        with np.errstate(all="ignore"):
+            return shooting.flow.run(shooting.windows, self.starts, self.constants, shooting.pace)
+
+    def is_below(self, longer: _Descent, settings: FitSettings) -> bool:
+        """Say whether a state's misses over longer windows are clearly larger than here."""
+        sizes = []
+        for one in (self, longer):
+            misses, count = one.misses, np.maximum(one.shooting.counts, 1)
+            # Each start takes the misses that it is fitted to.
+            own = len(one.constants) / misses.shape[1]
+            left = np.maximum(count - misses.shape[2] - own, 1)
+            sizes.append(one.shooting.sizes(misses) * np.sqrt(count / left))
+        chance = 1 + 2 * scale_error(count)
+        return bool(np.any(sizes[1] > np.maximum(settings.match_follows, chance) * sizes[0]))
+
+    def weighed(self) -> _Descent:
+        """Give each row its own deviation, sqrt(a^2 + (b x)^2) of each state, where misses show b.
+
+        The likelihood of the residuals decides, by 2 nats at least: one more number for a state.
+        """
+        found, misses = self._run(), self.misses
+        spread, told = self.shooting.spread, self.shooting.told
+        own = spread[None, :, None] if spread.ndim == 1 else spread
+        own = np.broadcast_to(own, found.shape).copy()
+        changed = False
+        for j in range(found.shape[1]):
+            share = (found[:, j] / math.sqrt(float(np.mean(found[:, j] ** 2)) or 1.0)) ** 2
+            shapes = [np.ones_like(share), *(1 + ratio**2 * share for ratio in _RATIOS)]
+            mine = told[:, j]
+            fits = [_variance(misses[:, j][mine], shape[mine]) for shape in shapes]
+            best = min(range(len(fits)), key=lambda i: fits[i][0])
+            if fits[best][0] < fits[0][0] - 2:
+                size = math.sqrt(fits[best][1])
+                own[:, j] *= size * np.sqrt(shapes[best])
+                changed = True
+            else:
+                own[:, j] *= math.sqrt(fits[0][1])
+        return replace(self, shooting=replace(self.shooting, spread=own)) if changed else self
 
 
 def _large(shooting: Shooting, misses: np.ndarray) -> np.ndarray:
@@ -196,102 +292,6 @@ def _lengths(first: int, longest: int) -> list[int]:
     return found
 
 
-def _step(
-    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
-) -> Shooting:
-    """Take the longest step of the integration that moves states less than their residuals."""
-    steps = np.diff(shooting.windows.t, axis=0)
-    even = np.ptp(steps) <= 1e-6 * np.mean(steps) and not shooting.windows.jumps
-    strides = _STRIDES if even else (1,)
-    with np.errstate(all="ignore"):
-        trials = [replace(shooting, flow=replace(shooting.flow, stride=s)) for s in strides]
-        longer, misses = trials[0], trials[0].misses(constants, starts)
-        for shorter in trials[1:]:
-            finer = shorter.misses(constants, starts)
-            moved, size = np.max(np.abs(finer - misses)), np.median(np.abs(finer))
-            if moved < STEP_ERROR * size:
-                return longer
-            longer, misses = shorter, finer
-        return replace(longer, pace=choose_pace(longer, constants, starts, settings.match_substeps))
-
-
-def _descend(
-    shooting: Shooting, constants: np.ndarray, starts: np.ndarray, settings: FitSettings
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Fit constants and starts; None where the first or the last integration diverges."""
-    with np.errstate(all="ignore"):
-        if not np.all(np.isfinite(shooting.unit(shooting.misses(constants, starts)))):
-            return None
-        constants, starts = fit_loss(shooting, constants, starts, settings)
-        if not np.all(np.isfinite(shooting.misses(constants, starts))):
-            return None
-    return constants, starts
-
-
-def _carry(
-    shooting: Shooting, starts: np.ndarray, constants: np.ndarray, longer: Shooting
-) -> np.ndarray:
-    """Give starts of longer windows, (k, W), from the states that the shorter ones came to."""
-    windows = shooting.windows
-    with np.errstate(all="ignore"):
-        found = shooting.flow.run(windows, starts, constants, shooting.pace)
-    known = {
-        (float(windows.t[row, lane]), *windows.x[row, :, lane].tolist()): found[row, :, lane]
-        for lane in range(windows.t.shape[1])
-        for row in range(len(windows.t))
-    }
-    own = longer.windows
-    begin = own.x[0].copy()
-    for lane in range(own.t.shape[1]):
-        key = (float(own.t[0, lane]), *own.x[0, :, lane].tolist())
-        if key in known and np.all(np.isfinite(known[key])):
-            begin[:, lane] = known[key]
-    return begin
-
-
-def _grows(
-    before: tuple[Shooting, np.ndarray, np.ndarray],
-    after: tuple[Shooting, np.ndarray, np.ndarray],
-    settings: FitSettings,
-) -> bool:
-    """Say whether a state's misses over longer windows are clearly larger than before."""
-    sizes = []
-    for shooting, constants, starts in (before, after):
-        misses = shooting.misses(constants, starts)
-        count = np.maximum(shooting.counts, 1)
-        # Each start takes the misses that it is fitted to.
-        left = np.maximum(count - misses.shape[2] - len(constants) / misses.shape[1], 1)
-        sizes.append(shooting.sizes(misses) * np.sqrt(count / left))
-    chance = 1 + 2 * scale_error(count)
-    return bool(np.any(sizes[1] > np.maximum(settings.match_follows, chance) * sizes[0]))
-
-
-def _weigh(shooting: Shooting, constants: np.ndarray, starts: np.ndarray) -> Shooting:
-    """Give each row its own deviation, sqrt(a^2 + (b x)^2) of each state, where misses show b.
-
-    The likelihood of the residuals decides, by 2 nats at least: one more number for a state.
-    """
-    with np.errstate(all="ignore"):
-        found = shooting.flow.run(shooting.windows, starts, constants, shooting.pace)
-    misses = shooting.misses(constants, starts)
-    spread, told = shooting.spread, shooting.told
-    own = np.broadcast_to(spread[None, :, None] if spread.ndim == 1 else spread, found.shape).copy()
-    changed = False
-    for j in range(found.shape[1]):
-        share = (found[:, j] / math.sqrt(float(np.mean(found[:, j] ** 2)) or 1.0)) ** 2
-        shapes = [np.ones_like(share), *(1 + ratio**2 * share for ratio in _RATIOS)]
-        mine = told[:, j]
-        fits = [_variance(misses[:, j][mine], shape[mine]) for shape in shapes]
-        best = min(range(len(fits)), key=lambda i: fits[i][0])
-        if fits[best][0] < fits[0][0] - 2:
-            size = math.sqrt(fits[best][1])
-            own[:, j] *= size * np.sqrt(shapes[best])
-            changed = True
-        else:
-            own[:, j] *= math.sqrt(fits[0][1])
-    return replace(shooting, spread=own) if changed else shooting
-
-
 def _variance(misses: np.ndarray, shape: np.ndarray) -> tuple[float, float]:
     """Negative log likelihood of residuals whose variance has this shape, and its robust factor."""
     square = misses**2 / shape
@@ -301,16 +301,12 @@ def _variance(misses: np.ndarray, shape: np.ndarray) -> tuple[float, float]:
     return float(np.sum(capped + np.log(factor * shape))) / 2, factor
 
 
-def _end(
-    shooting: Shooting,
-    fitted: tuple[np.ndarray, np.ndarray] | None,
-) -> StatesFit | None:
-    if fitted is None:
+def _end(found: _Descent | None) -> StatesFit | None:
+    if found is None:
         return None
-    constants, starts = fitted
+    shooting, constants, starts = found.shooting, found.constants, found.starts
     with np.errstate(all="ignore"):
-        misses = shooting.misses(constants, starts)
-        covariance = np.zeros((0, 0))
+        misses, covariance = found.misses, np.zeros((0, 0))
         if len(constants):
             try:
                 covariance = shooting.covariance(constants, starts)
