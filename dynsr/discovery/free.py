@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from dynsr.data import Samples, Trajectory, carry
 from dynsr.discovery.asked import choose_targets
 from dynsr.discovery.free_model import FreeModel, finish_model, has_free, read_model
-from dynsr.discovery.options import Options, Search
+from dynsr.discovery.options import OF_PLAIN, Options, Search
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.engines import find_engine
@@ -80,21 +80,7 @@ from dynsr.verdict import (
 )
 
 # Options of a search that have no meaning where all but some functions is known.
-_REFUSED = (
-    "slopes",
-    "scheme",
-    "order",
-    "explicit_time",
-    "discrete",
-    "loss",
-    "terms",
-    "must",
-    "constraints",
-    "conserved",
-    "nonnegative",
-    "units",
-    "start",
-)
+_REFUSED = (*OF_PLAIN, "terms", "must", "constraints", "nonnegative")
 # Name of a constant of a formula; the space keeps it apart from any name of a column.
 _OWN = "constant of "
 # Name of a constant of an equation that was found.

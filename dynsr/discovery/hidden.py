@@ -11,7 +11,7 @@ import sympy
 
 from dynsr.data import KnownNoise, Trajectory, carry
 from dynsr.discovery.asking import settle
-from dynsr.discovery.options import Options
+from dynsr.discovery.options import OF_PLAIN, Options
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
@@ -43,20 +43,7 @@ from dynsr.verdict import NOBODY, explain, give_verdict, name_engines
 
 _NAME = "hidden"
 # Options of a search that have no meaning where one state was not measured.
-_REFUSED = (
-    "known",
-    "slopes",
-    "scheme",
-    "order",
-    "explicit_time",
-    "discrete",
-    "method",
-    "targets",
-    "conserved",
-    "units",
-    "loss",
-    "start",
-)
+_REFUSED = ("known", *OF_PLAIN, "method", "targets")
 
 
 def check_hidden(runs: Sequence[Trajectory], options: Options) -> str:

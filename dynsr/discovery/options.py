@@ -46,6 +46,11 @@ _NAMING = (
 _DEMANDS = (
     "functions", "max_complexity", "terms", "must", "constraints", "conserved", "nonnegative",
 )  # fmt: skip
+# What says how equations of slopes are searched in states that were all measured, without noise in
+# their motion and without a function that is free.
+OF_PLAIN: tuple[str, ...] = (
+    "slopes", "scheme", "order", "explicit_time", "discrete", "conserved", "units", "loss", "start",
+)  # fmt: skip
 # What the call as a whole does, and none of the searches in it.
 _OF_THE_CALL = ("vary", "delays", "hidden", "stochastic", "ensemble", "observed")
 # What says no more than the default does.

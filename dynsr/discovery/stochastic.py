@@ -17,7 +17,7 @@ import sympy
 from scipy.special import chdtrc
 
 from dynsr.data import Trajectory
-from dynsr.discovery.options import Options
+from dynsr.discovery.options import OF_PLAIN, Options
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery
 from dynsr.engines import DEFAULT_ENGINE, refuse_idle
@@ -62,23 +62,7 @@ from dynsr.verdict import (
 
 _NAME = "stochastic"
 # Options of a search that have no meaning where the motion has noise.
-_REFUSED = (
-    "known",
-    "slopes",
-    "scheme",
-    "order",
-    "discrete",
-    "explicit_time",
-    "method",
-    "targets",
-    "conserved",
-    "nonnegative",
-    "must",
-    "constraints",
-    "units",
-    "loss",
-    "start",
-)
+_REFUSED = ("known", *OF_PLAIN, "method", "targets", "nonnegative", "must", "constraints")
 
 
 def check_stochastic(runs: Sequence[Trajectory], options: Options) -> bool:

@@ -457,11 +457,21 @@ class Collocation:
         ----------
         fit : of this problem.
         """
-        states, constants = fit.states.T, fit.constants
-        driven = self.mesh.driven[:, : len(self.mesh.t)]
-        with np.errstate(all="ignore"):
-            base, _, by_constants = self._split(states, constants, driven, self._steps(constants))
+        base, by_constants = self.slopes_of(fit)
         return usual_scales(base, self._owners[0], by_constants)
+
+    def slopes_of(self, fit: CollocationFit) -> tuple[np.ndarray, np.ndarray]:
+        """Give right-hand sides (k, n) of a fit at the rows, and slopes (P, n) by their constants.
+
+        Parameters
+        ----------
+        fit : of this problem.
+        """
+        states, constants = fit.states.T, fit.constants
+        driven = self.driven(states, constants)[:, : len(self.mesh.t)]
+        with np.errstate(all="ignore"):
+            base, _, slopes = self._split(states, constants, driven, self._steps(constants))
+        return base, slopes
 
     def driven(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(d, n + m) driven columns at the rows and in the middle of intervals.

@@ -463,13 +463,8 @@ class CurvedFit(ScaledFit):
     @cached_property
     def _scales(self) -> np.ndarray:
         """(N,) the usual size of each number."""
-        problem, found = self.problem, self.found
-        rows = len(problem.mesh.t)
-        steps = problem._steps(found.constants)  # noqa: SLF001
-        with np.errstate(all="ignore"):
-            base, _, slopes = problem._split(  # noqa: SLF001
-                found.states.T, found.constants, problem.mesh.driven[:, :rows], steps
-            )
+        problem = self.problem
+        base, slopes = problem.slopes_of(self.found)
         own = usual_scales(base, problem._owners[0], slopes)  # noqa: SLF001
         # A formula that is 0 may leave no number in any equation.
         each = np.where(problem.ties > 0, own[:, None], np.inf)

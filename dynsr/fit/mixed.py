@@ -378,16 +378,8 @@ class MixedFit(ScaledFit):
 
         That of one group is what it would be for all runs.
         """
-        problem, found = self.problem, self.found
-        mesh = problem.mesh
-        driven = problem.driven(found.states.T, found.constants)[:, : len(mesh.t)]
-        with np.errstate(all="ignore"):
-            base, _, slopes = problem._split(  # noqa: SLF001
-                found.states.T,
-                found.constants,
-                driven,
-                problem._steps(found.constants),  # noqa: SLF001
-            )
+        problem, mesh = self.problem, self.problem.mesh
+        base, slopes = problem.slopes_of(self.found)
         kinds: dict[tuple[str, str], int] = {}
         kind = np.array([kinds.setdefault(key[:2], len(kinds)) for key in problem.places], int)
         # Groups do not meet: their slopes add up to that of all runs.

@@ -441,36 +441,20 @@ class _Bench:
                 for m, n in zip(whole.misses, known, strict=True)
             ]
         )[whole.told]
-        return self._compare_forecast(z, by, owners, later, covariance, level, whole)
-
-    def _compare_forecast(
-        self,
-        z: np.ndarray,
-        by: np.ndarray,
-        owners: np.ndarray,
-        later: np.ndarray,
-        covariance: np.ndarray,
-        level: np.ndarray,
-        whole: Followed,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        missed, surprise, allowed = [], [], []
         unit = np.concatenate([s.spread.transpose(2, 0, 1).reshape(-1) for s in whole.shootings])
         unit = unit[whole.told]
-        for i in range(len(self.spread)):
+        missed, surprise, allowed = np.full(k, np.inf), np.zeros(k), np.ones(k)
+        for i in range(k):
             mine = np.flatnonzero(later & (owners == i))
             if not len(mine):
                 # Nothing of it was measured there.
-                missed.append(np.inf)
-                surprise.append(0.0)
-                allowed.append(1.0)
                 continue
-            missed.append(np.sqrt(np.mean((z * unit)[mine] ** 2)) / self.spread[i])
+            missed[i] = np.sqrt(np.mean((z * unit)[mine] ** 2)) / self.spread[i]
             mine = mine[:: max(1, len(mine) // ENOUGH_ROWS)]
             joint = by[mine] @ covariance @ by[mine].T + level[i] * np.eye(len(mine))
-            tamed = z[mine]
-            surprise.append(float(tamed @ np.linalg.solve(joint, tamed)) / len(mine))
-            allowed.append(most_by_chance(len(mine)))
-        return np.array(missed), np.array(surprise), np.array(allowed)
+            surprise[i] = float(z[mine] @ np.linalg.solve(joint, z[mine])) / len(mine)
+            allowed[i] = most_by_chance(len(mine))
+        return missed, surprise, allowed
 
     def test_state(
         self,
