@@ -14,10 +14,10 @@ _ROWS = re.compile(
     r"unnamed: \d+",
     re.IGNORECASE,
 )
-# What programs of tests count: steps, cycles.
+# What programs of tests count, and people who train: steps, cycles, laps.
 _PHASES = re.compile(
-    r"(program.?)?(step|cycle|segment|stage|phase|loop|sub.?step)[\s_.]*"
-    r"(n[ro]\.?|num(ber)?|id|index|idx|count(er)?|#)",
+    r"(program.?)?(step|cycle|segment|stage|phase|loop|sub.?step|lap)[\s_.]*"
+    r"(n[ro]\.?|num(ber)?|id|index|idx|count(er)?|#)|laps?",
     re.IGNORECASE,
 )
 # What differs by no more than this share of its size differs in the rounding of float64 alone.
@@ -101,8 +101,9 @@ def numbers_phases(name: str, values: np.ndarray) -> bool:
     name : its name.
     values : (n,) numbers.
 
-    >>> numbers_phases("Step_Index", np.repeat([1.0, 2.0], 9)), numbers_phases("steps", np.ones(9))
-    (True, False)
+    >>> laps = np.repeat([1.0, 2.0], 9)
+    >>> [numbers_phases(name, laps) for name in ("Step_Index", "lap", "steps")]
+    [True, True, False]
     """
     return _PHASES.fullmatch(bare_name(name)) is not None and bool(np.all(values % 1 == 0))
 
