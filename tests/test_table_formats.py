@@ -1,8 +1,10 @@
 """Files that are no text, datasets of xarray, and sizes that are looked at before they are read."""
 
+import bz2
 import datetime
 import gzip
 import json
+import lzma
 import sys
 import zipfile
 
@@ -106,6 +108,64 @@ def test_objects_in_cells_of_json_are_columns_of_their_own(tmp_path):
     columns = load_columns(tmp_path / "log.jsonl")
     assert columns.names == ("t", "sensor_x", "sensor_of_y")
     assert columns.values[2].tolist() == [-t for t in range(12)]
+
+
+ROWS = [{"t": float(t), "x": float(t) ** 2} for t in range(12)]
+COLUMNS = {name: [row[name] for row in ROWS] for name in ("t", "x")}
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        {"status": "ok", "results": ROWS},
+        {"meta": {"unit": "mM"}, "data": COLUMNS},
+        {"unit": "mM", **COLUMNS},
+        {"schema": {"fields": [{"name": "t"}, {"name": "x"}]}, "data": ROWS},
+        {"columns": ["t", "x"], "index": [0], "data": [[r["t"], r["x"]] for r in ROWS]},
+    ],
+    ids=["results", "data", "next to texts", "schema", "split"],
+)
+def test_a_table_may_be_in_an_object_of_json(tmp_path, found):
+    """Services and pandas say more than the table, next to it."""
+    (tmp_path / "answer.json").write_text(json.dumps(found))
+    columns = load_columns(tmp_path / "answer.json")
+    assert columns.names == ("t", "x") and columns.values[1].tolist() == COLUMNS["x"]
+
+
+@pytest.mark.parametrize(
+    "found", [{"type": "FeatureCollection", "features": []}, {"a": ROWS, "b": ROWS}]
+)
+def test_json_of_no_table_or_of_two_is_refused(tmp_path, found):
+    """In one line that says what a table is."""
+    (tmp_path / "answer.json").write_text(json.dumps(found))
+    with pytest.raises(InputError, match="has no table; give columns of equal length"):
+        load_columns(tmp_path / "answer.json")
+
+
+def test_rows_of_objects_in_python_are_read_as_in_json():
+    """A list of messages needs no file."""
+    rows = [{"t": row["t"], "sensor": {"x": row["x"]}} for row in ROWS]
+    assert describe(rows).states == ("sensor_x",)
+
+
+@pytest.mark.parametrize("pack", [bz2, lzma, gzip])
+def test_packed_text_is_read(tmp_path, pack):
+    """As the ending of its name says; a damaged one is refused."""
+    ending = {bz2: "bz2", lzma: "xz", gzip: "gz"}[pack]
+    text = "t,x\n" + "".join(f"{row['t']},{row['x']}\n" for row in ROWS)
+    packed = pack.compress(text.encode())
+    path = tmp_path / f"data.csv.{ending}"
+    path.write_bytes(packed)
+    assert load_columns(path).values[1].tolist() == COLUMNS["x"]
+    path.write_bytes(packed[: len(packed) // 2])
+    with pytest.raises(InputError):
+        load_columns(path)
+
+
+def test_an_address_is_no_file():
+    """A path would lose one of its strokes."""
+    with pytest.raises(InputError, match="an address of the web is no file; download it"):
+        load_columns("https://example.org/data.csv")
 
 
 def test_json_without_a_table_and_stata_files(tmp_path):

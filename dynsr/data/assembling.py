@@ -63,6 +63,11 @@ class Columns:
     words: Mapping[str, Mapping[float, str]] = field(default_factory=dict)
     limits: Mapping[str, Limits] = field(default_factory=dict)
 
+    @property
+    def rows(self) -> int:
+        """The number of rows."""
+        return len(self.values[0])
+
     def __post_init__(self) -> None:
         """Check that there are columns of one length, each with a name of its own."""
         # The name of a file may be any bytes; the label goes into records, pages and tables.

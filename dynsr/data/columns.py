@@ -43,7 +43,8 @@ def load_columns(
 
     Files are recognised by their suffix: Excel and its kin (``.xlsx``, ``.xls``, ``.ods``), MATLAB
     (``.mat``), HDF5 (``.h5``, ``.hdf5``), NetCDF (``.nc``), Parquet, JSON, Stata (``.dta``),
-    ``.npz``, ``.npy``; anything else is delimited text, which may be packed (``.gz``, ``.zip``).
+    ``.npz``, ``.npy``; anything else is delimited text, which may be packed (``.gz``, ``.bz2``,
+    ``.xz``, ``.zip``).
     ``book.xlsx:Sheet 2`` is one sheet of a spreadsheet. Frames are those that narwhals knows, such
     as pandas, polars and pyarrow, and those of xarray; a series of pandas has its times as the
     index. An array has the time as its first column; a pair ``(t, x)`` is taken apart. What cells
@@ -166,6 +167,8 @@ def _check_file(path: Path) -> None:
     """Raise InputError, with the reason, when a path is no file with something in it."""
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a directory; give a file with the trajectory in it")
+    if path.parts and path.parts[0].lower() in ("http:", "https:", "ftp:", "s3:"):
+        raise InputError("an address of the web is no file; download it, and give the file")
     if not path.exists():
         raise InputError(f"there is no file {str(path)!r}; check the name")
     if not path.is_file():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -204,9 +203,10 @@ def load_stata(path: Path, decimal: str | None = None) -> Columns:
 
 
 def load_json(path: Path, decimal: str | None = None) -> Columns:
-    """Load a table in JSON: columns by name, or one object for each row, or for each line."""
-    import pandas
+    """Load a table in JSON: columns by name, or one object for each row, or for each line.
 
+    It may be in an object next to what else is said of it.
+    """
     try:
         text = path.read_text("utf-8-sig")
         if path.suffix.lower() in (".jsonl", ".ndjson"):
@@ -215,22 +215,54 @@ def load_json(path: Path, decimal: str | None = None) -> Columns:
             found = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise unreadable(path, "JSON file", error) from None
-    rows = found if isinstance(found, list) else []
-    if rows and all(isinstance(row, dict) for row in rows):
-        # An object in a cell is columns of its own: {"sensor": {"x": 1}} is sensor_x.
-        nested = any(isinstance(cell, dict) for row in rows for cell in row.values())
-        read = partial(pandas.json_normalize, sep="_") if nested else pandas.DataFrame
-        return load_frame(read(rows), path.name, decimal)
-    if isinstance(found, dict) and found:
-        parts = list(found.values())
-        if all(isinstance(part, list) for part in parts) and len({*map(len, parts)}) == 1:
-            return load_mapping(found, path.name, decimal)
-        if all(isinstance(part, dict) for part in parts):  # as pandas writes it: column, row, cell
-            return load_frame(pandas.DataFrame(found), path.name, decimal)
-    raise InputError(
-        f"{path.name!r} has no table; give columns of equal length by name, or a list of objects, "
-        "one for each row"
-    )
+    columns = _table_in(found, path.name, decimal)
+    if columns is None:
+        raise InputError(
+            f"{path.name!r} has no table; give columns of equal length by name, or a list of "
+            "objects, one for each row"
+        )
+    return columns
+
+
+def _table_in(found: Any, label: str, decimal: str | None) -> Columns | None:
+    """Give the table that is in a value of JSON, or in the one of its values that has one."""
+    import pandas
+
+    if isinstance(found, list):
+        rows = bool(found) and all(isinstance(row, dict) for row in found)
+        return load_frame(frame_of_rows(found), label, decimal) if rows else None
+    if not isinstance(found, dict):
+        return None
+    parts = list(found.values())
+    names, cells = found.get("columns"), found.get("data")
+    if isinstance(names, list) and isinstance(cells, list):  # as pandas writes it: "split"
+        same = all(isinstance(row, list) and len(row) == len(names) for row in cells)
+        return load_frame(pandas.DataFrame(cells, columns=names), label, decimal) if same else None
+    lists = {name: part for name, part in found.items() if isinstance(part, list) and part}
+    cells = [cell for part in lists.values() for cell in part]
+    if len({*map(len, lists.values())}) == 1 and not any(isinstance(c, dict) for c in cells):
+        return load_mapping(lists, label, decimal)
+    inside = [cell for part in parts if isinstance(part, dict) for cell in part.values()]
+    plain = inside and not any(isinstance(cell, (list, dict)) for cell in inside)
+    if plain and all(isinstance(part, dict) for part in parts):  # column, row, cell
+        return load_frame(pandas.DataFrame(found), label, decimal)
+    tables = [own for part in parts if (own := _table_in(part, label, decimal)) is not None]
+    long = [own for own in tables if own.rows >= _FEWEST] or tables
+    return long[0] if len(long) == 1 else None
+
+
+def frame_of_rows(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Give a frame of rows by name; an object in a cell is columns of its own.
+
+    Parameters
+    ----------
+    rows : name -> cell, such as ``{"t": 0, "sensor": {"x": 1}}``, which has the columns t and
+        sensor_x.
+    """
+    import pandas
+
+    nested = any(isinstance(cell, Mapping) for row in rows for cell in row.values())
+    return pandas.json_normalize(list(rows), sep="_") if nested else pandas.DataFrame(rows)
 
 
 READERS: Mapping[str, Callable[[Path, str | None], Columns]] = {

@@ -23,6 +23,7 @@ from dynsr.data.codes import Missing, without_codes
 from dynsr.data.columns import Columns, beside, load_columns, names_of_states, with_times
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_doses, split_volume
+from dynsr.data.formats import frame_of_rows
 from dynsr.data.grouping import differ_as_parameter, find_restarts
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
@@ -140,8 +141,7 @@ def read_trajectories(
         read_limits(limits),
     )
     if isinstance(source, list) and source and all(map(_is_record, source)):
-        names = dict.fromkeys(name for row in source for name in row)
-        source = {name: [row.get(name) for row in source] for name in names}
+        source = frame_of_rows(source)
     if isinstance(source, list):
         return _read_list(
             source,
@@ -243,9 +243,9 @@ def _given(source: Trajectory, runs: Sequence[Trajectory]) -> dict[str, str]:
 
 
 def _is_record(source: Any) -> bool:
-    """Whether a source is a row as JSON has it: name -> cell."""
+    """Whether a source is a row as JSON has it: name -> cell, or an object of cells."""
     return isinstance(source, dict) and all(
-        cell is None or np.isscalar(cell) for cell in source.values()
+        cell is None or np.isscalar(cell) or _is_record(cell) for cell in source.values()
     )
 
 

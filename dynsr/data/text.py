@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
 import codecs
 import csv
 import gzip
 import io
+import lzma
 import os
 import re
 import warnings
@@ -39,6 +41,8 @@ _SPACE = r"\s+"
 _DIGIT = re.compile(r"[0-9]")
 # In order of preference where several tell the cells of the sample apart equally well.
 _DELIMITERS = ("\t", ";", "|", ",", _SPACE)
+# What is packed and damaged.
+_BROKEN = (OSError, EOFError, zlib.error, lzma.LZMAError)
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MAGIC = {
     b"PK\x03\x04": "a zip or Excel file, not text; name it .zip, .xlsx or .npz if it is one",
@@ -61,7 +65,7 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
 
     Parameters
     ----------
-    path : the file, packed with gzip where its name ends in .gz, alone in an archive where it
+    path : the file, packed where its name ends in .gz, .bz2 or .xz, alone in an archive where it
         ends in .zip.
     decimal : the decimal mark, "." or ","; found by default.
 
@@ -118,7 +122,8 @@ def _load_plain(path: Path) -> Columns | None:
 
 
 def _opener(path: Path) -> Any:
-    return {".gz": gzip.open, ".zip": _open_member}.get(path.suffix.lower(), open)
+    packed = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open, ".zip": _open_member}
+    return packed.get(path.suffix.lower(), open)
 
 
 @contextmanager
@@ -157,7 +162,7 @@ def _read_head(path: Path) -> tuple[bytes, bool]:
                 cut = len(more) == len(head)
                 head += more
                 _check_line(path, len(head) - max(map(head.rfind, (b"\n", b"\r"))))
-    except (OSError, EOFError, zlib.error) as error:
+    except _BROKEN as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"cannot read {str(path)!r}: {reason}") from None
     for magic, what in _MAGIC.items():
@@ -436,7 +441,7 @@ def _parse_file(path: Path, head: _Head, **options: Any) -> tuple[Any, tuple[str
         # The longest row may end in delimiters, or have one within quotation marks.
         while frame.shape[1] > max(named, 1) and frame[frame.shape[1] - 1].isna().all():
             frame = frame.drop(columns=frame.shape[1] - 1)
-    except (OSError, EOFError, zlib.error) as error:
+    except _BROKEN as error:
         raise unreadable(path, "table", error) from None
     if len(frame) < count and not _spans_lines(path, head, len(frame)):
         raise InputError(
