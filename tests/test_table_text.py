@@ -137,6 +137,15 @@ def test_lines_below_the_table_are_skipped_and_told(tmp_path, form):
     assert len(columns.notes) == 1 and "skipped" in columns.notes[0]
 
 
+@pytest.mark.parametrize("name", ["Weekly total", "Summe", "Mean of 7"])
+def test_sums_and_means_between_the_rows_are_skipped(tmp_path, name):
+    """A table of weeks has them, with numbers in each column."""
+    rows = [row + (f"\n{name},44,112" if j % 7 == 6 else "") for j, row in enumerate(ROWS)]
+    columns = load_columns(put(tmp_path, HEAD + "\n".join(rows)))
+    check_body(columns)
+    assert columns.notes == (f"2 rows of pump.csv have no data ({name!r}); skipped",)
+
+
 @pytest.mark.parametrize("blank", [",,", " , , ", "", ";;".replace(";", ","), '"","",""'])
 def test_blank_rows_anywhere_are_no_rows(tmp_path, blank):
     """Rows of delimiters, as spreadsheets write them, at the end and in between."""

@@ -29,6 +29,10 @@ _TIME = re.compile(
     re.IGNORECASE,
 )
 _NAME = re.compile(r"[^\W\d]\w*")
+_TOTAL = re.compile(
+    r".*\b((sub)?.?totals?|sum|mean|average|avg|summe|gesamt|mittelwert|moyenne|suma)\b.*",
+    re.IGNORECASE,
+)
 _ENOUGH = 3
 _SAMPLE = 200
 TEXT, NUMBER, NONE = "text", "number", ""
@@ -390,6 +394,10 @@ def rows_that_are_none(columns: Sequence[np.ndarray], label: str) -> tuple[np.nd
     single = np.flatnonzero(counts == 1).tolist() if len(columns) > 1 else []
     alone = [row for row in single if is_remark(row)]
     none[alone] = True
+    # So are sums and means of the rows above them.
+    labels = columns[0].tolist() if 0 in texts else []
+    sums = [k for k, cell in enumerate(labels) if isinstance(cell, str) and _TOTAL.fullmatch(cell)]
+    none[[row for row in sums if is_remark(row)]] = True
     for row in range(len(none) - 1, -1, -1):
         if counts[row] and not none[row] and not is_remark(row):
             break
