@@ -116,6 +116,7 @@ def test_continuous_integration_checks_and_runs_every_test(tmp_path, can):
     bring = "for p in $*; do case $p in octave) p=octave-cli ;; r-*) p=Rscript ;; esac; "
     scripts = {
         ".ci/run": (ROOT / ".ci" / "run").read_text(),
+        "scripts/environment": "#!/bin/sh\necho .venv/bin/python\n",
         "scripts/check": "#!/bin/sh\necho check ${DYNSR_REQUIRE_CHROMIUM:-0}\n",
         "scripts/test": "#!/bin/sh\necho test $*\n",
         "bin/id": f"#!/bin/sh\necho {0 if can else 1000}\n",
