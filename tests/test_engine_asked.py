@@ -30,11 +30,12 @@ from dynsr.engines.embedded import EmbeddedEngine
 from dynsr.engines.simulation import add_noise, simulate, simulate_driven
 from dynsr.engines.testing import RecordingEngine
 from dynsr.errors import EngineError, EngineUnavailable, InputError
-from dynsr.verdict.prediction import MEASURED
+from dynsr.parameters import Delay, follow
+from dynsr.verdict.prediction import MEASURED, predict_with_doses
 
 ROOMS = [
-    *("data", "engines", "fit", "methods", "selection", "discovery", "report", "paper"),
-    *("checks", "benchmarks"),
+    *("data", "engines", "fit", "methods", "selection", "verdict", "parameters", "discovery"),
+    *("report", "paper", "checks", "benchmarks"),
 ]
 T = np.linspace(0.0, 3.0, 61)
 DECAY = Trajectory(T, 2 * np.exp(-0.5 * T)[:, None], ("x",))
@@ -84,7 +85,7 @@ def public_takers() -> set[str]:
         for name in found
         if not name.endswith(".with_engine")
         and name not in {"AskedMethod", "Discovery", "Record", "share_engine"}
-        and name not in {"is_embedded", "refuse_idle", "start_engine"}
+        and name not in {"is_embedded", "name_engines", "refuse_idle", "start_engine"}
     }
 
 
@@ -110,6 +111,17 @@ FUNCTIONS = {
     "simulate_driven": lambda e, _: simulate_driven(driven(), e),
     "training_trajectory": lambda e, _: dynsr.engines.training_trajectory(PENDULUM, e),
     "predict": lambda e, _: dynsr.discovery.predict({"x": -X}, [1.0], T, engine=e),
+    "predict_with_doses": lambda e, _: predict_with_doses(
+        {"x": -X}, [1.0], T, {"x": np.zeros(len(T))}, engine=e
+    ),
+    "follow": lambda e, _: follow(
+        {"x": -sympy.Symbol("x_late")},
+        {"x_late": Delay("x", 1.0)},
+        lambda t: np.ones((1, len(t))),
+        T,
+        {},
+        e,
+    ),
     "equation_rmse": lambda e, _: dynsr.equation_rmse(LOTKA_VOLTERRA, RHS, engine=e),
     "trajectory_loss": lambda e, _: dynsr.trajectory_loss(LOTKA_VOLTERRA, RHS, engine=e),
     "trajectory_losses": lambda e, _: dynsr.discovery.trajectory_losses(
