@@ -423,29 +423,22 @@ class Collocation:
         sizes = np.concatenate([self.mesh.spread, np.maximum(np.abs(constants), 1e-3)])
         return self.settings.difference * sizes
 
-    def _slopes(
+    def _split(
         self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
-    ) -> np.ndarray:
-        """(k, 1 + k + most, points): the right-hand sides, then with arguments moved a little.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes (k, points), their derivatives by states (k, k, points), own constants (P, ..).
 
-        These are each state, then the first constant of every equation, the second, ...: a constant
-        moves its own equation alone (Curtis, Powell and Reid 1974).
+        Each state is moved a little, then the first constant of every equation, the second, ...: a
+        constant moves its own equation alone (Curtis, Powell and Reid 1974).
         """
-        k, own = len(states), np.arange(len(steps))
-        ranks = self._owners[1]
+        k, own, (owners, ranks) = len(states), np.arange(len(steps)), self._owners
         count = 1 + k + int(ranks.max(initial=-1)) + 1
         rows = np.repeat(states[:, None], count, axis=1)
         rows[own[:k], 1 + own[:k]] += steps[:k, None]
         shifts = np.repeat(constants[:, None], count, axis=1)
         shifts[own[: len(constants)], 1 + k + ranks] += steps[k:]
-        return self.slope(*rows, *driven[:, None], *shifts[..., None])
-
-    def _split(
-        self, states: np.ndarray, constants: np.ndarray, driven: np.ndarray, steps: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes (k, points), their derivatives by states (k, k, points), own constants (P, ..)."""
-        found = self._slopes(states, constants, driven, steps)
-        base, k, (owners, ranks) = found[:, 0], len(states), self._owners
+        found = self.slope(*rows, *driven[:, None], *shifts[..., None])
+        base = found[:, 0]
         by_states = (found[:, 1 : 1 + k] - base[:, None]) / steps[:k, None]
         by_constants = (found[owners, 1 + k + ranks] - base[owners]) / steps[k:, None]
         return base, by_states, by_constants

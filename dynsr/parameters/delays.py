@@ -538,7 +538,10 @@ class _Scan:
         states, delayed, slopes, errors, inputs, late = self.delayed.points(delay)
         others = self.delayed.runs[0].input_names
         before = [self.delayed.names[name] for name in (*own, *others)]
-        if np.any(_is_slope(states, delayed, slopes, errors, delay) < settings.apart):
+        # How far differences over the delay are off the slopes, in standard errors of these.
+        apart = np.sqrt(np.mean((slopes - (states - delayed) / delay) ** 2, axis=1))
+        sizes = np.sqrt(np.mean(errors**2, axis=1))
+        if np.any(apart / np.maximum(sizes, 1e-300) < settings.apart):
             if not others:
                 return []
             delayed, before = delayed[:0], before[len(own) :]
@@ -664,20 +667,6 @@ def _with_rows(
         noise={state: own.select(rows) for state, own in run.noise.items()},
         sums={state: own.select(rows) for state, own in run.sums.items()},
     )
-
-
-def _is_slope(
-    states: np.ndarray,
-    delayed: np.ndarray,
-    slopes: np.ndarray,
-    errors: np.ndarray,
-    delay: float,
-) -> np.ndarray:
-    """(k,) how far differences over a delay are off the slopes, in standard errors of these."""
-    apart = slopes - (states - delayed) / delay
-    sizes = np.sqrt(np.mean(errors**2, axis=1))
-    found: np.ndarray = np.sqrt(np.mean(apart**2, axis=1)) / np.maximum(sizes, 1e-300)
-    return found
 
 
 @dataclass(frozen=True, eq=False)

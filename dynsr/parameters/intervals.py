@@ -134,11 +134,13 @@ def list_constants(
     before = list(fitted or ())
     before = before if len(before) == len(errors) else [value for value, _ in errors]
     known = [(v, e, f) for (v, e), f in zip(errors, before, strict=True)]
-    paired = _pair(kept, known)
-    middles = [middle for _, middle in paired]
-    own = [error for error, _ in paired]
-    order = printed_order(template, values)
-    found = [_make(template, list(values), i, kept, middles, own, reach) for i in order]
+    paired, found = _pair(kept, known), []
+    for i in printed_order(template, values):
+        error, middle = paired[i]
+        beside = reach * error
+        low, high = (middle - beside, middle + beside) if math.isfinite(beside) else (None, None)
+        home = _home(template, list(values), i, kept)
+        found.append(_reaching(Constant(kept[i], middle, low, high, home, error)))
     if len(ends) == len(found):
         found = [_with_ends(one, pair) for one, pair in zip(found, ends, strict=True)]
     return tuple(found)
@@ -260,28 +262,6 @@ def put_constants(expr: sympy.Expr, values: Sequence[float]) -> sympy.Expr:
     return template.xreplace(
         {symbols[i]: sympy.Float(float(v)) for i, v in zip(order, values, strict=True)}
     )
-
-
-def _make(
-    template: sympy.Expr,
-    symbols: Sequence[sympy.Symbol],
-    index: int,
-    values: Sequence[float],
-    fitted: Sequence[float],
-    errors: Sequence[float],
-    reach: float,
-) -> Constant:
-    beside, middle = reach * errors[index], fitted[index]
-    known = math.isfinite(beside)
-    found = Constant(
-        values[index],
-        middle,
-        middle - beside if known else None,
-        middle + beside if known else None,
-        _home(template, symbols, index, values),
-        errors[index],
-    )
-    return _reaching(found)
 
 
 def _home(
