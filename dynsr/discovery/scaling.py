@@ -17,7 +17,6 @@ from dynsr.discovery.hidden import search_hidden
 from dynsr.discovery.options import Options, Search
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
-from dynsr.discovery.stochastic import search_stochastic
 from dynsr.discovery.unmeasured import coupling_of
 from dynsr.errors import InputError
 from dynsr.expression import expand_terms, parse
@@ -309,20 +308,6 @@ def hidden_in_units(
     before, now = found.hidden_notes[name], restored.hidden_notes[name]
     said = {**restored.explanation, name: restored.explanation[name].replace(before, now)}
     return replace(restored, explanation=said)
-
-
-def stochastic_in_units(units: Units, runs: Sequence[Trajectory], options: Options) -> Discovery:
-    """Search drift and diffusion in the units given.
-
-    Parameters
-    ----------
-    units, runs, options : as for :func:`search_in_units`.
-    """
-    if units.usual:
-        return search_stochastic(runs, options)
-    scaled = replace(options, inputs=units.apply_values(options.drives))
-    found = search_stochastic([units.apply(run) for run in runs], scaled)
-    return units.restore(found, runs, options.drives)
 
 
 def _measured_columns(runs: Sequence[Trajectory]) -> dict[str, list[np.ndarray]]:

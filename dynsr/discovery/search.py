@@ -28,11 +28,11 @@ from dynsr.discovery.orders import Order
 from dynsr.discovery.problem import DISCOVERY, DiscoverySettings
 from dynsr.discovery.provenance import with_provenance
 from dynsr.discovery.result import Discovery, ended_early, keep_if_asked, with_profiles, with_words
-from dynsr.discovery.scaling import Units, hidden_in_units, search_in_units, stochastic_in_units
+from dynsr.discovery.scaling import Units, hidden_in_units, search_in_units
 from dynsr.discovery.second_order import search_orders
 from dynsr.discovery.stages import search_once
 from dynsr.discovery.start import Start
-from dynsr.discovery.stochastic import check_stochastic
+from dynsr.discovery.stochastic import check_stochastic, search_stochastic
 from dynsr.discovery.uncertainty import check_ensemble, with_ensemble
 from dynsr.discovery.unseen import search_stepped, take_steps
 from dynsr.discovery.volumes import with_volumes
@@ -330,7 +330,7 @@ class _Kind:
         """Search with it."""
         units = Units.of(runs)
         if self.noisy:
-            found = stochastic_in_units(units, runs, options)
+            found = search_in_units(search_stochastic, units, runs, options)
             keep_if_asked(found, options.out)
             return found
         if self.hidden:

@@ -40,7 +40,7 @@ from dynsr.fit import (
     skeleton,
 )
 from dynsr.library import Form, Library, LibrarySettings, Written
-from dynsr.parameters.intervals import take_apart, write_interval
+from dynsr.parameters.intervals import leave_unknown, take_apart, write_interval
 from dynsr.parameters.parameters import name_constants, put_names
 from dynsr.selection import (
     ComparisonSettings,
@@ -122,11 +122,8 @@ class Delay:
     high: float | None = None
 
     def __post_init__(self) -> None:
-        """Take ends that are not finite, as a file has those that are unknown, for unknown."""
-        for name in ("low", "high"):
-            end = getattr(self, name)
-            if end is not None and not math.isfinite(end):
-                object.__setattr__(self, name, None)
+        """Take ends that are not finite for unknown; raises InputError for no time."""
+        leave_unknown(self)
         if not (math.isfinite(self.value) and self.value > 0):
             raise InputError(f"a delay of {self.value!r} is no time; give a number above 0")
 

@@ -68,6 +68,14 @@ class Constant:
         return write_interval(self.low, self.high)
 
 
+def leave_unknown(found: object) -> None:
+    """Take ends that are not finite, as a file has those that are unknown, for unknown."""
+    for name in ("low", "high"):
+        end = getattr(found, name)
+        if end is not None and not math.isfinite(end):
+            object.__setattr__(found, name, None)
+
+
 def write_interval(low: float | None, high: float | None) -> str:
     """Write an interval to be read.
 

@@ -22,6 +22,7 @@ from dynsr.expression import check_name, slope_latex, to_latex_formula, write_li
 from dynsr.fit import ROUNDING, pairs_alike
 from dynsr.parameters.intervals import (
     Constant,
+    leave_unknown,
     list_constants,
     printed_order,
     take_apart,
@@ -63,11 +64,8 @@ class Parameter:
     states: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Take ends that are not finite, as a file has those that are unknown, for unknown."""
-        for name in ("low", "high"):
-            end = getattr(self, name)
-            if end is not None and not math.isfinite(end):
-                object.__setattr__(self, name, None)
+        """Take ends that are not finite for unknown."""
+        leave_unknown(self)
 
     @property
     def interval_text(self) -> str:
