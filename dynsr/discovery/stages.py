@@ -100,7 +100,7 @@ from dynsr.methods import (
     keeping,
 )
 from dynsr.selection import lead_with, rank_by_length
-from dynsr.verdict import ENGINES, LAW, NOBODY, Verdict, explain, name_engines, record_hold
+from dynsr.verdict import LAW, NOBODY, Verdict, explain, name_engines, record_hold
 
 
 def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
@@ -135,10 +135,10 @@ def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
     shown = set(record.get("first_look", ()))
     ran = [m for n, m in methods.items() if n in record["methods"] and not shown >= set(states)]
     along = EXPLORATION in first and not shown
+    looked = FIRST_LOOK in first
     record["engines"] = name_engines(
-        ran, chosen, found.equations, drives, along, FIRST_LOOK in first
+        ran, chosen, found.equations, drives, along, looked, asked.discrete
     )
-    record["engines"] |= ENGINES if asked.discrete else {}
     found = replace(found, verdict=NOBODY) if demands.conserved else found
     left = _left_to_us(asked)
     found = _give_verdict(problem, found, alternatives, record, left, steps.parts)

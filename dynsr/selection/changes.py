@@ -73,6 +73,15 @@ def prune(comparison: SystemComparison, fit: SystemFit, state: str) -> SystemFit
     return fit
 
 
+def prune_each(
+    comparison: SystemComparison, fit: SystemFit, states: Iterable[str] | None = None
+) -> SystemFit:
+    """Take terms out of one equation after the other, those of all states by default."""
+    for state in tuple(fit.exprs) if states is None else states:
+        fit = prune(comparison, fit, state)
+    return fit
+
+
 def _shorter_systems(
     comparison: SystemComparison, fit: SystemFit, state: str
 ) -> Iterator[Equations]:

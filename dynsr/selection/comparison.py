@@ -527,3 +527,9 @@ def apart_by(own: np.ndarray, other: sympy.Expr, columns: Mapping[str, np.ndarra
             return np.nan
         gap = float(np.sqrt(np.mean((values[fine] - own[fine]) ** 2)))
     return gap / max(float(np.std(own[fine])), 1e-300)
+
+
+def shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Give the values of every column in an order of its own, always the same."""
+    rng = np.random.default_rng(0)
+    return {name: rng.permutation(values) for name, values in columns.items()}

@@ -16,7 +16,7 @@ import sympy
 
 from dynsr.expression import ByText, compile_columns
 from dynsr.fit import Probes, constant_bits, structure_bits
-from dynsr.selection.changes import gram_of, prune, while_better
+from dynsr.selection.changes import gram_of, prune_each, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, owners_of
 from dynsr.selection.joints import Joint
 from dynsr.selection.mass_matrix import FACTORS, read_ratio, slope_of
@@ -39,9 +39,7 @@ def try_couplings(comparison: SystemComparison, best: SystemFit) -> SystemFit:
         for exprs in _couple(comparison, best):
             fit = comparison.fit({**best.exprs, **exprs}, best)
             if fit is not None:
-                for state in exprs:
-                    fit = prune(comparison, fit, state)
-                yield fit
+                yield prune_each(comparison, fit, exprs)
 
     return while_better(coupled, best, comparison.settings.again)
 

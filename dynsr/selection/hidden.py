@@ -23,13 +23,14 @@ from dynsr.expression import differentiate, evaluate, expand_terms
 from dynsr.fit import CollocationSettings, Measurements, Mesh, skeleton
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
-from dynsr.selection.changes import prune
+from dynsr.selection.changes import prune_each
 from dynsr.selection.comparison import (
     ComparisonSettings,
     Equations,
     SystemComparison,
     SystemFit,
     apart_by,
+    shuffle,
 )
 from dynsr.selection.rates import SIGMA
 from dynsr.selection.renewal import renew
@@ -329,7 +330,7 @@ def find_without(
     """
     own = SystemComparison(data.mesh(tuple(alone)), comparison)
     fit = own.fit({s: _equation_of(s, found) for s, found in alone.items()})
-    return None if fit is None else renew(own, _prune(own, fit))
+    return None if fit is None else renew(own, prune_each(own, fit))
 
 
 def _alone(state: str, data: Measurements, comparison: ComparisonSettings) -> SystemFit | None:
@@ -455,25 +456,19 @@ def _finish(begun: HiddenFit, settings: HiddenSettings) -> HiddenFit:
         whole = comparison.fit(exprs)
         if whole is None:
             return begun
-        fit = _prune(comparison, whole)
+        fit = prune_each(comparison, whole)
     for _ in range(settings.rounds):
         before = fit
         most = before.bits + comparison.settings.near
         close = sorted((f for f in comparison.fits() if f.bits <= most), key=lambda f: f.bits)
         every = [w for f in close[: settings.written] for w in _ways(begun.coupling, f.exprs)]
         ways = sorted(filter(None, map(comparison.fit, every)), key=lambda f: f.bits)
-        ways = [_prune(comparison, way) for way in dict.fromkeys(ways[: settings.pruned])]
+        ways = [prune_each(comparison, way) for way in dict.fromkeys(ways[: settings.pruned])]
         fit = renew(comparison, min([fit, *ways], key=lambda f: f.bits))
         if fit.bits > before.bits - comparison.settings.gain:
             break
     data = begun.data.along(fit.fit.states, comparison.mesh.states)
     return HiddenFit(begun.coupling, data, fit, comparison)
-
-
-def _prune(comparison: SystemComparison, fit: SystemFit) -> SystemFit:
-    for state in fit.exprs:
-        fit = prune(comparison, fit, state)
-    return fit
 
 
 def _ways(coupling: Coupling, exprs: Equations) -> Iterator[Equations]:
@@ -550,8 +545,7 @@ def different_laws(
     """
     coupling = best.coupling
     share, columns = best.comparison.settings.apart, _measured_columns(best)
-    rng = np.random.default_rng(0)
-    aside = {n: rng.permutation(v) for n, v in columns.items()}
+    aside = shuffle(columns)
     mine = law_of(best.fit.exprs, coupling)
     if mine is None:
         return []

@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from dynsr.fit import skeleton
-from dynsr.selection.changes import prune, while_better
+from dynsr.selection.changes import prune_each, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.permuted import exchanged
@@ -77,9 +77,7 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
                 pruned = (
                     fit.exprs if far < settings.near else (state,) if far < settings.behind else ()
                 )
-                for s in pruned:
-                    one = prune(comparison, one, s)
-                yield one
+                yield prune_each(comparison, one, pruned)
 
     return while_better(renewed, best, gain=settings.gain)
 

@@ -24,7 +24,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.selection.alone import Alone, Leader, constants
-from dynsr.selection.changes import prune
+from dynsr.selection.changes import prune_each
 from dynsr.selection.comparison import (
     COMPARISON,
     ComparisonSettings,
@@ -33,6 +33,7 @@ from dynsr.selection.comparison import (
     SystemFit,
     apart_by,
     leaves_noise,
+    shuffle,
 )
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.integration import integrate
@@ -101,7 +102,7 @@ class SystemChoice:
         assert self.fit is not None
         mesh = self.fit.problem.mesh
         columns = {**mesh.columns, **dict(zip(mesh.states, self.fit.fit.states.T, strict=True))}
-        beside, wider = _shuffle(columns), _widen(columns)
+        beside, wider = shuffle(columns), _widen(columns)
         found: dict[str, list[tuple[sympy.Expr, float]]] = {}
         for state, others in self.others.items():
             mine = self.fit.exprs[state]
@@ -132,12 +133,6 @@ def _widen(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         n: np.maximum(w, np.min(columns[n]) / 2) if np.min(columns[n]) > 0 else w
         for n, w in wider.items()
     }
-
-
-def _shuffle(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Give the values of every column in an order of its own, always the same."""
-    rng = np.random.default_rng(0)
-    return {name: rng.permutation(values) for name, values in columns.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,9 +237,7 @@ def _refine(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     renewed = renew(comparison, coupled) if has("renewal") else coupled
     if has("couplings") and renewed is not best:
         renewed = try_couplings(comparison, renewed)
-    for state in tuple(renewed.exprs):
-        renewed = prune(comparison, renewed, state)
-    return renewed
+    return prune_each(comparison, renewed)
 
 
 def _search(
@@ -277,9 +270,7 @@ def _search(
 
     def finish(fit: SystemFit) -> SystemFit:
         # Alone, terms compensate for the errors of the curves that the others are read from.
-        for state in pools:
-            fit = prune(together, fit, state)
-        return _climb(together, fit, leaders)
+        return _climb(together, prune_each(together, fit, pools), leaders)
 
     least = min((fit.bits for fit in fits), default=math.inf)
     ends = [finish(f) for f in dict.fromkeys(fits) if f.bits <= least + settings.behind]

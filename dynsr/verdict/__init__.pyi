@@ -29,7 +29,6 @@ from .levels import (
 )
 from .map_verdict import give_map_verdict
 from .maps import (
-    ENGINES,
     chance_of,
     inputs_in,
     iterate,
@@ -59,7 +58,6 @@ from .scoring import Score, equation_rmse, score_expressions, trajectory_loss, t
 __all__ = [
     "ABSTOL",
     "APPROXIMATION",
-    "ENGINES",
     "LAW",
     "LEAST_SQUARE",
     "LEVELS",

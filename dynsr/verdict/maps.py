@@ -25,13 +25,6 @@ from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constan
 from dynsr.verdict.following import ENOUGH_ROWS
 from dynsr.verdict.levels import VERDICT
 
-ENGINES = {
-    "fit": "none (least squares on one step)",
-    "forecast": "none (iteration)",
-    "simulate": "none (iteration)",
-    "bands": "none",
-}
-
 
 def pair_rows(runs: Sequence[Trajectory], target: str) -> Samples:
     """Pair every row with the next value of the target, where it follows after one usual step.

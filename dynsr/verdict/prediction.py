@@ -38,6 +38,13 @@ SLACK = 1e-9
 _SAMPLES, _FEWEST_PARTS = 2000, 4
 # What integrates where inputs, or states without an equation, are read from measurements.
 MEASURED = f"embedded ({EXPLICIT} {DRIVEN})"
+# What does what for a map.
+_OF_MAP = {
+    "fit": "none (least squares on one step)",
+    "forecast": "none (iteration)",
+    "simulate": "none (iteration)",
+    "bands": "none",
+}
 
 
 def predict(
@@ -332,6 +339,7 @@ def name_engines(
     drives: Mapping[str, sympy.Expr],
     along: bool = False,
     looked: bool = False,
+    discrete: bool = False,
 ) -> dict[str, str]:
     """Say which engine does what in a discovery, for its record.
 
@@ -343,6 +351,7 @@ def name_engines(
     drives : inputs that are known as expressions in ``t``; others are read from measurements.
     along : whether sums of terms were looked for along noisy states.
     looked : whether the slopes had a first look before the methods.
+    discrete : whether the equations are a map.
 
     >>> name_engines([], find_engine("embedded"), {"x": sympy.Symbol("x")}, {})["simulate"]
     'embedded'
@@ -359,6 +368,7 @@ def name_engines(
         "forecast": "embedded (multiple shooting)",
         "simulate": driven if set(arguments_of(equations)) - set(drives) else engine.name,
         "bands": "embedded (a curve for each draw of the constants)",
+        **(_OF_MAP if discrete else {}),
     }
 
 
