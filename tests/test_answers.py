@@ -79,9 +79,11 @@ def test_what_is_shorter_and_better_becomes_the_answer(noise):
     """An answer with one term too many gives way to the law on its front, which is judged."""
     problem = pose(spring(noise))
     found = answer(problem, WRONG, {"x": ["v"], "v": ["-0.41*v - 0.51*x**3 - 1.98*x", "-2.5*x"]})
-    verdict = problem.give_verdict(found, None)
-    assert verdict.level == "approximation" and verdict.alternatives["v"][0].bits < 0
-    better, judged = adopt_better(problem, found, verdict, None)
+    begun = problem.with_verdict(found, None)
+    assert begun.verdict.level == "approximation"
+    assert begun.verdict.alternatives["v"][0].bits < 0
+    better = adopt_better(problem, begun, None)
+    judged = better.verdict
     assert judged.level == "law" and len(better.equations["v"].args) == 3
     assert better.explanation["v"] == " Found by sindy. A note."
     assert "takes" in better.details["v"] and "Abs(v)" in better.details["v"]
@@ -94,9 +96,10 @@ def test_what_only_seems_better_is_tried_and_not_called_so():
     problem = pose(spring(0.01))
     found = answer(problem, SPRING, {"x": ["v"], "v": [SPRING["v"]]})
     alternatives = {"x": [], "v": [(parse("-2.9*x"), -50.0)]}
-    verdict = problem.give_verdict(found, alternatives)
-    assert "fits them better" in verdict.states["v"].reason
-    same, judged = adopt_better(problem, found, verdict, alternatives)
+    begun = problem.with_verdict(found, alternatives)
+    assert "fits them better" in begun.verdict.states["v"].reason
+    same = adopt_better(problem, begun, alternatives)
+    judged = same.verdict
     assert same.equations == found.equations and "better" not in judged.reason
     assert "-2.9*x" not in [one.equation for one in judged.alternatives["v"]]
 
@@ -107,9 +110,8 @@ def test_what_the_user_forbids_is_not_adopted():
     problem = pose(spring(0.01), constraints={"v": {"v": "+"}})
     found = answer(problem, WRONG, {"x": ["v"], "v": [WRONG["v"]]})
     alternatives = {"x": [], "v": [(parse(SPRING["v"]), -900.0)]}
-    same, judged = adopt_better(
-        problem, found, problem.give_verdict(found, alternatives), alternatives
-    )
+    same = adopt_better(problem, problem.with_verdict(found, alternatives), alternatives)
+    judged = same.verdict
     assert same.equations == found.equations
     assert "better" not in judged.reason
     assert all(one.bits >= 0 for one in judged.alternatives["v"])
@@ -124,11 +126,11 @@ def test_a_map_gives_way_to_a_better_one():
     problem = pose(Trajectory(np.arange(81.0), values[:, None], ("x",)), Form(discrete=True))
     fronts = {"x": ["0.66", "3.7*x - 3.7*x**2"]}
     found = answer(problem, {"x": "3.5*x - 3.4*x**2 - 0.1*x**3"}, fronts)
-    verdict = problem.give_verdict(found, None)
-    others = [one.equation for one in verdict.alternatives["x"]]
+    begun = problem.with_verdict(found, None)
+    others = [one.equation for one in begun.verdict.alternatives["x"]]
     assert "-3.7*x**2 + 3.7*x" in others and "0.66" not in others
-    better, judged = adopt_better(problem, found, verdict, None)
-    assert better.equations["x"] == parse(fronts["x"][1]) and judged.level == "law"
+    better = adopt_better(problem, begun, None)
+    assert better.equations["x"] == parse(fronts["x"][1]) and better.verdict.level == "law"
     assert better.details["x"].startswith("x[n+1] = ")
 
 
@@ -256,5 +258,5 @@ def test_the_errors_of_a_solver_are_no_evidence_for_another_law():
         "z": ["(F - 1.1*w*y*sin(y) + 14*w*cos(w) - 4.2*sin(w)*cos(y))/(cos(w)**2 - 2)", "-9*w"],
     }
     found = answer(problem, law, near)
-    same, _ = adopt_better(problem, found, problem.give_verdict(found, None), None)
+    same = adopt_better(problem, problem.with_verdict(found, None), None)
     assert same.equations == found.equations

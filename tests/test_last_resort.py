@@ -28,11 +28,11 @@ def pose(run, **asked):
 
 
 def give_up(problem, equations):
-    """Give a discovery of these equations, and what is thought of it."""
+    """Give a discovery of these equations, with what is thought of it."""
     fronts = {s: ParetoFront([]) for s in equations}
     said = dict.fromkeys(equations, " Found by search. sindy failed.")
     found = Discovery(dict(equations), dict.fromkeys(equations, ()), fronts, said)
-    return found, problem.give_verdict(found, None)
+    return problem.with_verdict(found, None)
 
 
 def in_noise(truth, start, end, step):
@@ -51,11 +51,11 @@ def prey():
 
 @pytest.fixture(scope="module")
 def followed(prey):
-    """What is given instead of wrong equations, and what is thought of it."""
+    """What is given instead of wrong equations, with what is thought of it."""
     problem = pose(prey)
-    found, verdict = give_up(problem, WRONG)
-    assert verdict.level == "not found"
-    return follow_anyway(problem, found, verdict)
+    found = give_up(problem, WRONG)
+    assert found.verdict.level == "not found"
+    return follow_anyway(problem, found)
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
     """Equations that part from the data are replaced by some that SciPy follows them with to an
     R2 above 0.95; they are called an approximation, are on the fronts, and say why.
     """
-    changed, judged = followed
+    changed, judged = followed, followed.verdict
     again = integrate(changed.equations, prey.x[0], prey.t)
     assert explained(prey.x, again) > 0.95
     assert judged.level == "approximation"
@@ -78,18 +78,18 @@ def test_a_law_stays(prey):
     """The law itself is not given up for a longer sum."""
     law = {"x": parse("x*(1 - x/4) - x*y/(1 + x)"), "y": parse("x*y/(1 + x) - 0.5*y")}
     problem = pose(prey)
-    found, verdict = give_up(problem, law)
-    assert verdict.level == "law"
-    assert follow_anyway(problem, found, verdict) is None
+    found = give_up(problem, law)
+    assert found.verdict.level == "law"
+    assert follow_anyway(problem, found) is None
 
 
 @pytest.mark.slow
 def test_what_follows_keeps_to_the_demands(prey, followed):
     """Where x' may not hold x*y, what is given instead does without; else it holds that."""
     problem = pose(prey, constraints={"x": {"x*y": 0}}, functions=[])
-    changed, _ = follow_anyway(problem, *give_up(problem, WRONG))
+    changed = follow_anyway(problem, give_up(problem, WRONG))
     assert problem.demands.keep_all(changed.equations)
-    assert not problem.demands.keep_all(followed[0].equations)
+    assert not problem.demands.keep_all(followed.equations)
 
 
 @pytest.mark.slow
@@ -99,17 +99,18 @@ def test_a_chaotic_run_that_leaves_noise_alone_keeps_its_equations(monkeypatch):
     """
     truth = {"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 8*z/3"}
     problem = pose(in_noise(truth, (1.0, 2.0, 20.0), 12, 0.02))
-    found, verdict = give_up(problem, {s: parse(e) for s, e in truth.items()})
+    found = give_up(problem, {s: parse(e) for s, e in truth.items()})
+    verdict = found.verdict
     assert verdict.span < 12
     unsure = {s: replace(own, level="approximation") for s, own in verdict.states.items()}
     verdict = replace(verdict, level="approximation", states=unsure)
     searched = []
     monkeypatch.setattr(last_resort, "find_approximations", lambda *args: searched.append(args))
-    assert follow_anyway(problem, found, verdict) is None
+    assert follow_anyway(problem, replace(found, verdict=verdict)) is None
     assert not searched
     wrong = {s: replace(own, chi_square=4.0) for s, own in unsure.items()}
     with pytest.raises(TypeError):
-        follow_anyway(problem, found, replace(verdict, states=wrong))
+        follow_anyway(problem, replace(found, verdict=replace(verdict, states=wrong)))
     assert searched
 
 
@@ -125,13 +126,14 @@ def test_what_follows_a_chaotic_run_by_chance_is_turned_down(monkeypatch):
     problem = pose(in_noise(truth, (1.0, 1.0, 0.0), 90, 0.1))
     law, other = ({s: parse(e) for s, e in own.items()} for own in (truth, beside))
     for found, offered, taken in ((law, other, False), (other, law, True)):
-        begun, verdict = give_up(problem, found)
-        states = {s: replace(v, level="approximation") for s, v in verdict.states.items()}
+        begun = give_up(problem, found)
+        states = {s: replace(v, level="approximation") for s, v in begun.verdict.states.items()}
         doubted = {s: replace(v, chi_square=3.0) for s, v in states.items()}
-        verdict = replace(verdict, level="approximation", states=doubted)
+        verdict = replace(begun.verdict, level="approximation", states=doubted)
+        begun = replace(begun, verdict=verdict)
         best = Approximation(offered, 0.9999)
         monkeypatch.setattr(last_resort, "_best", lambda *_, own=best: own)
-        assert (follow_anyway(problem, begun, verdict) is not None) == taken
+        assert (follow_anyway(problem, begun) is not None) == taken
 
 
 def test_a_map_is_not_followed_as_a_motion():
@@ -141,7 +143,7 @@ def test_a_map_is_not_followed_as_a_motion():
         x.append(3.8 * x[-1] * (1 - x[-1]))
     run = Trajectory(np.arange(61.0), np.array(x)[:, None], ("x",))
     problem = pose(run)
-    assert follow_anyway(problem, *give_up(problem, {"x": parse("0")})) is None
+    assert follow_anyway(problem, give_up(problem, {"x": parse("0")})) is None
 
 
 @pytest.mark.slow
@@ -151,6 +153,6 @@ def test_noisy_data_have_no_law_by_following_alone(prey):
     noisy = Trajectory(prey.t, prey.x + 0.02 * prey.x.std(axis=0) * noise, prey.states)
     noisy = noisy.select(slice(None, None, 2))
     problem = pose(noisy)
-    changed, judged = follow_anyway(problem, *give_up(problem, WRONG))
-    assert judged.level == "approximation"
+    changed = follow_anyway(problem, give_up(problem, WRONG))
+    assert changed.verdict.level == "approximation"
     assert explained(prey.x, integrate(changed.equations, prey.x[0], prey.t)) > 0.9

@@ -23,26 +23,25 @@ from dynsr.verdict import LEAST_SQUARE, LEVELS, NOT_FOUND, OtherFormula, Verdict
 
 
 def adopt_better(
-    problem: Problem, found: Discovery, verdict: Verdict, alternatives: OtherFormulas | None
-) -> tuple[Discovery, Verdict]:
+    problem: Problem, found: Discovery, alternatives: OtherFormulas | None
+) -> Discovery:
     """Give the answer after each alternative that seemed better was tried in its place.
 
     Parameters
     ----------
     problem : the data and what is given of their equations.
-    found : what was found.
-    verdict : what is thought of it.
+    found : what was found, with its verdict.
     alternatives : state -> (formula, bits above the equation) where they were compared before.
     """
     if problem.settings.selection.loss is not None:
         # What counts for the user is no matter of bits.
-        return found, verdict
+        return found
     for _ in range(problem.settings.verdict.adopted * len(found.equations)):
-        doubt = _doubt(problem, verdict)
+        doubt = _doubt(problem, found.verdict)
         if doubt is None:
-            return found, verdict
+            return found
         state, alternative = doubt
-        expr = _formula(found, alternatives, state, alternative)
+        expr, more = _formula(found, alternatives, state, alternative), math.inf
         other = None if problem.demands.conserved else problem.with_equation(found, state, expr)
         if other is not None:
             moved = (
@@ -50,39 +49,35 @@ def adopt_better(
                 if alternatives is None
                 else _seen_from(alternatives, found, other, state, alternative.bits)
             )
-            judged = problem.give_verdict(other, moved)
-            more = _behind(problem, (found, verdict), (other, judged))
+            other = problem.with_verdict(other, moved)
+            more = _behind(problem, found, other)
             if more < 0:
-                found, verdict, alternatives = other, judged, moved
+                found, alternatives = other, moved
                 continue
-        else:
-            more = math.inf
-        found, verdict, alternatives = _told(
-            problem, found, verdict, {(state, alternative.equation): more}
-        )
+        found, alternatives = _told(problem, found, {(state, alternative.equation): more})
     # Nothing is called better that was not tried.
     left = {
         (state, one.equation): 0.0
-        for state, own in verdict.states.items()
+        for state, own in found.verdict.states.items()
         for one in own.alternatives
         if one.bits < 0 and _may_be_returned(problem, one)
     }
-    return _told(problem, found, verdict, left)[:2] if left else (found, verdict)
+    return _told(problem, found, left)[0] if left else found
 
 
 def adopt_in_time(
-    problem: Problem, found: Discovery, verdict: Verdict, alternatives: OtherFormulas | None
-) -> tuple[Discovery, Verdict]:
+    problem: Problem, found: Discovery, alternatives: OtherFormulas | None
+) -> Discovery:
     """Do the same within the time of the verdict; if that runs out, nothing changes.
 
     Parameters
     ----------
-    problem, found, verdict, alternatives : as for :func:`adopt_better`.
+    problem, found, alternatives : as for :func:`adopt_better`.
     """
     best, cut = finish_by(
         problem.until("verdict"),
-        lambda: adopt_better(problem, found, verdict, alternatives),
-        lambda: (found, verdict),
+        lambda: adopt_better(problem, found, alternatives),
+        lambda: found,
     )
     problem.cut.extend(["alternatives"] if cut else [])
     return best
@@ -124,30 +119,25 @@ def _seen_from(
     return {**alternatives, state: [*own, (found.equations[state], -bits)]}
 
 
-def _behind(
-    problem: Problem, own: tuple[Discovery, Verdict], other: tuple[Discovery, Verdict]
-) -> float:
+def _behind(problem: Problem, own: Discovery, other: Discovery) -> float:
     """Bits that another answer takes more, once it is fitted and tested; inf for a worse level.
 
     A better level goes before bits, and what is followed for longer is called better.
     """
     ranks = [
-        sorted((LEVELS.index(one.level) for one in judged.states.values()), reverse=True)
-        for _, judged in (own, other)
+        sorted((LEVELS.index(one.level) for one in found.verdict.states.values()), reverse=True)
+        for found in (own, other)
     ]
     if ranks[0] != ranks[1]:
         return math.inf if ranks[1] > ranks[0] else -math.inf
-    if other[1].span < own[1].span:
+    if other.verdict.span < own.verdict.span:
         return math.inf
-    rows = {
-        state: max(mine.rows, other[1].states[state].rows) for state, mine in own[1].states.items()
-    }
-    return _length(problem, *other, rows) - _length(problem, *own, rows)
+    theirs = other.verdict.states
+    rows = {s: max(mine.rows, theirs[s].rows) for s, mine in own.verdict.states.items()}
+    return _length(problem, other, rows) - _length(problem, own, rows)
 
 
-def _length(
-    problem: Problem, found: Discovery, verdict: Verdict, independent: Mapping[str, float]
-) -> float:
+def _length(problem: Problem, found: Discovery, independent: Mapping[str, float]) -> float:
     """Bits of the residuals, of the formulas and of their constants.
 
     Residuals with a pattern, such as those of a solver, count as fewer independent ones.
@@ -156,7 +146,7 @@ def _length(
     written = {s: with_floats(expr) for s, expr in found.equations.items()}
     bits = structure_in(problem.columns)(written)
     for state, expr in found.equations.items():
-        own = verdict.states[state]
+        own = found.verdict.states[state]
         square = own.noise**2 if problem.form.discrete else max(own.chi_square, LEAST_SQUARE)
         bits += (independent[state] or rows) / 2 * math.log2(max(square, 1e-300))
         bits += count_constants(expr) * constant_bits(rows)
@@ -164,8 +154,8 @@ def _length(
 
 
 def _told(
-    problem: Problem, found: Discovery, verdict: Verdict, bits: Mapping[tuple[str, str], float]
-) -> tuple[Discovery, Verdict, OtherFormulas]:
+    problem: Problem, found: Discovery, bits: Mapping[tuple[str, str], float]
+) -> tuple[Discovery, OtherFormulas]:
     """Test the same answer again, with what alternatives take more once they were tried."""
     alternatives = {
         state: [
@@ -173,13 +163,14 @@ def _told(
             for one in own.alternatives
             if math.isfinite(more := bits.get((state, one.equation), one.bits))
         ]
-        for state, own in verdict.states.items()
+        for state, own in found.verdict.states.items()
     }
     if not problem.form.discrete:
-        return found, problem.give_verdict(found, alternatives), alternatives
+        return problem.with_verdict(found, alternatives), alternatives
     # What one step tells of a map is exact: what was tried and is worse is none beside it.
     beaten = {
         state: ParetoFront(c for c in own if (state, shown(tidy(c.expr), 4)) not in bits)
         for state, own in found.front.items()
     }
-    return found, problem.give_verdict(replace(found, front=beaten), None), alternatives
+    verdict = problem.give_verdict(replace(found, front=beaten), None)
+    return replace(found, verdict=verdict), alternatives

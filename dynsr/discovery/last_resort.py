@@ -45,18 +45,15 @@ _BESIDE = 0.1
 SOURCE = "sums that follow"
 
 
-def follow_anyway(
-    problem: Problem, found: Discovery, verdict: Verdict
-) -> tuple[Discovery, Verdict] | None:
+def follow_anyway(problem: Problem, found: Discovery) -> Discovery | None:
     """Give equations that keep closer to the data than those found; None where there are none.
 
     Parameters
     ----------
     problem : the data and what is given of their equations.
-    found : what was found.
-    verdict : what is thought of it.
+    found : what was found, with its verdict.
     """
-    runs = problem.runs
+    runs, verdict = problem.runs, found.verdict
     short = min(map(len, runs)) < FEWEST_SMOOTH
     if verdict.level == LAW or problem.form.discrete or problem.known or short:
         return None
@@ -74,13 +71,11 @@ def follow_anyway(
     best = _rounded(best, measured_runs)
     match = untouched_match(best.exprs, runs, problem.inputs, problem.settings.selection.fit)
     changed = _put(problem, found, match)
-    changed, judged = adopt_better(problem, changed, problem.give_verdict(changed, None), None)
-    if verdict.level == APPROXIMATION and not whole and not _closer(judged, verdict):
+    changed = adopt_better(problem, problem.with_verdict(changed, None), None)
+    if verdict.level == APPROXIMATION and not whole and not _closer(changed.verdict, verdict):
         return None
-    judged = _approximate(judged, measured_runs, changed.equations, least)
-    if judged.rank > verdict.rank:
-        return None
-    return changed, judged
+    judged = _approximate(changed.verdict, measured_runs, changed.equations, least)
+    return None if judged.rank > verdict.rank else replace(changed, verdict=judged)
 
 
 def _leaves_noise(problem: Problem, verdict: Verdict) -> bool:

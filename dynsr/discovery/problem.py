@@ -665,6 +665,10 @@ class Problem:
         self.cut.extend(["verdict"] if cut else [])
         return verdict
 
+    def with_verdict(self, found: Discovery, alternatives: OtherFormulas | None) -> Discovery:
+        """Give a discovery that says how sure its equations are."""
+        return replace(found, verdict=self.give_verdict(found, alternatives))
+
     def give_verdict(self, found: Discovery, alternatives: OtherFormulas | None) -> Verdict:
         """Say how sure the equations are."""
         if self.form.discrete:

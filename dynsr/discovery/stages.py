@@ -100,7 +100,7 @@ from dynsr.methods import (
     keeping,
 )
 from dynsr.selection import lead_with, rank_by_length
-from dynsr.verdict import LAW, NOBODY, Verdict, explain, name_engines, record_hold
+from dynsr.verdict import LAW, NOBODY, explain, name_engines, record_hold
 
 
 def search_once(data: Sequence[Trajectory], asked: Options) -> Discovery:
@@ -262,28 +262,26 @@ def _give_verdict(
         try:
             with keeping(parts):
                 verdict = problem.give_verdict_in_time(found, alternatives)
-                other, verdict = adopt_in_time(problem, found, verdict, alternatives)
+                other = adopt_in_time(problem, replace(found, verdict=verdict), alternatives)
                 if follow:
-                    other, verdict = _follow(problem, other, verdict, record)
+                    other = _follow(problem, other, record)
         except KeyboardInterrupt:
             return replace(found, complete=False)
-        found = replace(other, verdict=verdict)
+        found = other
     parts.remove()
     return found
 
 
-def _follow(
-    problem: Problem, found: Discovery, verdict: Verdict, record: dict[str, Any]
-) -> tuple[Discovery, Verdict]:
+def _follow(problem: Problem, found: Discovery, record: dict[str, Any]) -> Discovery:
     """Take equations that keep closer to the data where those found part from them."""
     if not problem.settings.selection.parts.has("approximations"):
-        return found, verdict
+        return found
     other, cut = finish_by(
-        problem.until("verdict"), lambda: follow_anyway(problem, found, verdict), lambda: None
+        problem.until("verdict"), lambda: follow_anyway(problem, found), lambda: None
     )
     problem.cut.extend(["following"] if cut else [])
     if other is None:
-        return found, verdict
+        return found
     record["followed_anyway"] = True
     return other
 
@@ -476,15 +474,13 @@ class _Steps:
         found, alternatives = problem.fit(picks, pools, dict.fromkeys(picks, held))
         if not all(problem.is_allowed(s, e) for s, e in found.equations.items()):
             return None
-        found, verdict = adopt_better(
-            problem, found, problem.give_verdict(found, alternatives), alternatives
-        )
-        if verdict.level != LAW:
+        found = adopt_better(problem, problem.with_verdict(found, alternatives), alternatives)
+        if found.verdict.level != LAW:
             return None
         record["methods"] = [START]
         first = [name for name in self.first if name != START]
         watch.skip([*tasks_of(self.states, self.methods), *plan_tasks(self.states, {}, first)])
-        return replace(found, verdict=verdict), alternatives
+        return found, alternatives
 
     def _look(self, watch: Watch, samples: Mapping[str, Samples]) -> list[Found]:
         """Look at the slopes of every state first, then again with the results of others."""
