@@ -575,7 +575,7 @@ def _as_discovery(
         whole = {**theirs, **own}
         return {s: whole[s] for s in order if s in whole}
 
-    words = {s: _words(study, s, answer) for s in equations}
+    words = {s: _words(study, s) for s in equations}
     return replace(
         found,
         equations=both(equations, found.equations),
@@ -725,7 +725,7 @@ def _shown(expr: sympy.Expr, answer: _Answer, settings: FreeSettings) -> str:
     return shown(tidy(expr.xreplace(answer.numbers)), settings.digits)
 
 
-def _words(study: _Study, state: str, answer: _Answer) -> str:
+def _words(study: _Study, state: str) -> str:
     """Say how formulas for the functions of an equation compare with curves, in bits."""
     found = []
     for part in study.model.parts:

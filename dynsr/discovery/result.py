@@ -780,9 +780,9 @@ class Discovery:
             raise InputError("the equations cannot be fitted along every run; their slopes diverge")
         if not law.mixed.varied and not law.said and not others:
             return self
-        return self._vary_as(study, law, form.known)
+        return self._vary_as(study, law)
 
-    def _vary_as(self, study: Study, law: Law, derived: Mapping[str, sympy.Expr]) -> Discovery:
+    def _vary_as(self, study: Study, law: Law) -> Discovery:
         """Give the discovery of a law whose constants differ."""
         labels = [str(run.origin.get("name", i)) for i, run in enumerate(self.trajectories, 1)]
         names = (

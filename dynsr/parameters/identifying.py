@@ -442,7 +442,6 @@ def with_data(
     structure: Identifiability,
     names: Sequence[str],
     profiling: Profiling,
-    settings: IdentifiabilitySettings = IDENTIFIABILITY,
 ) -> Identifiability:
     """Say what data determine of parameters that could be known.
 
@@ -451,7 +450,6 @@ def with_data(
     structure : what could be known.
     names : of the parameters of the fit.
     profiling : the fit.
-    settings : the numbers that decide.
     """
     values = np.abs(profiling.values)
     with np.errstate(all="ignore"):
@@ -459,7 +457,7 @@ def with_data(
     told = dict(zip(names, errors.tolist(), strict=True))
     most = 1 / profiling.reach
     weak = [i for i, name in enumerate(names) if name in structure.known and errors[i] > most]
-    some = tuple(_known_products(names, weak, values, profiling, most, settings))
+    some = tuple(_known_products(names, weak, values, profiling, most))
     return Identifiability(
         structure.known,
         structure.unknown,
@@ -477,14 +475,13 @@ def _known_products(
     values: np.ndarray,
     profiling: Profiling,
     most: float,
-    settings: IdentifiabilitySettings,
 ) -> Iterator[Combination]:
     """Give the products of powers of weak parameters that data know best, independent ones."""
     spread = profiling.relative_spread(values, weak)
     places, tried = range(len(weak)), []
-    for count in range(2, min(settings.factors, len(weak)) + 1):
+    for count in range(2, min(IDENTIFIABILITY.factors, len(weak)) + 1):
         for some in itertools.combinations(places, count):
-            for powers in itertools.product(settings.powers, repeat=count):
+            for powers in itertools.product(IDENTIFIABILITY.powers, repeat=count):
                 if powers[0] > 0 and math.gcd(*powers) == 1:
                     vector = np.zeros(len(weak))
                     vector[list(some)] = powers

@@ -167,7 +167,7 @@ class _Layer:
         for i, own in enumerate(places):
             mine = [*own, *(int(slopes[p]) for p in own if slopes[p] >= 0)]
             if len(mine) > 1:
-                found._take_out(i, mine, gram, sides, slopes)
+                found._take_out(i, mine, sides, slopes)
         return found
 
     def _take_out_one(
@@ -185,9 +185,7 @@ class _Layer:
             self.beside[rows] -= mine[:, : len(slopes)] * solved[:, slopes]
         self.left[rows] -= target[own] * value
 
-    def _take_out(
-        self, row: int, mine: list[int], gram: np.ndarray, sides: np.ndarray, slopes: np.ndarray
-    ) -> None:
+    def _take_out(self, row: int, mine: list[int], sides: np.ndarray, slopes: np.ndarray) -> None:
         """Take columns out in one row; ``sides`` (c, 1 + c) are their products with all."""
         own = sides[mine]
         solved = np.linalg.lstsq(own[:, 1:][:, mine], own, rcond=ROUNDING)[0]

@@ -500,7 +500,7 @@ class _Bench:
             explained = self._leaves_noise(place, evidence, found, rows)
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
-        praise = self._praise(place, noise, followed, evidence)
+        praise = self._praise(place, noise, followed)
         if hidden[place]:
             praise = f"{_UNSEEN}, and the data need each of its terms."
         return replace(found, level=LAW, reason=praise)
@@ -701,7 +701,7 @@ class _Bench:
         own = {sympy.Symbol(n): sympy.Float(columns.pop(n)[0]) for n in self.by_run if n in columns}
         return is_left_open(self.equations[state].xreplace(own), columns)
 
-    def _praise(self, place: int, noise: float, followed: Followed, evidence: _Evidence) -> str:
+    def _praise(self, place: int, noise: float, followed: Followed) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {percent(noise)}"
         return (
             f"reproduces the data {exact}{self._while(followed)}, forecasts their last "

@@ -248,7 +248,7 @@ class Followed:
         lanes = [self.lanes(place) for place in range(len(self.counts))]
         return np.array([sum(independent_rows(z[:, None])[0] for z in own) for own in lanes])
 
-    def linearise(self, rows: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Misses (N,), their slopes by constants and all starts (N, P + k W), states (N,).
 
         Only measurements count.
