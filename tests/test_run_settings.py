@@ -58,6 +58,24 @@ def test_a_sheet_of_settings_and_a_frame_do_as_well(tmp_path):
     assert doses(runs) == list(DOSES.values()) and runs[0].states == ("OD",)
 
 
+@pytest.mark.parametrize("form", ["plate.csv", "plate.xlsx"])
+def test_rows_above_the_wells_say_what_was_set_in_them(tmp_path, form):
+    """A plate reader writes the layout there; a sentence above it is skipped as before."""
+    own = LAYOUT.set_index("Well").loc[list(PLATE.columns[1:])]
+    above = [["Plate 7", *[""] * 7], ["Strain", *own["Strain"]], ["Dose (mM)", *own["Dose (mM)"]]]
+    rows = [*above, list(PLATE.columns), *PLATE.to_numpy().tolist()]
+    sheet = pd.DataFrame(rows)
+    path = tmp_path / form
+    if form.endswith("csv"):
+        sheet.to_csv(path, index=False, header=False)
+    else:
+        sheet.to_excel(path, index=False, header=False)
+    table = read_trajectories(path)
+    assert table.names == tuple(DOSES) and doses(table.trajectories) == list(DOSES.values())
+    assert table.description.units["Dose"] == "mM" and "Strain" in table.left_out
+    assert not any("2" in note and "skipped" in note for note in table.notes)
+
+
 def test_a_list_of_files_names_them(tmp_path):
     """With or without the ending; one that is missing is named."""
     for k, well in enumerate(DOSES):

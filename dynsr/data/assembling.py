@@ -47,6 +47,7 @@ class Columns:
     twice : names that several columns of the source have, the first of which keeps its name.
     words : column -> number in it -> the word of the source that was read as it.
     limits : column -> its cells in which only a limit is known; those of no column go.
+    above : what rows above the names say -> column -> cell.
     """
 
     names: tuple[str, ...]
@@ -62,6 +63,7 @@ class Columns:
     twice: tuple[str, ...] = ()
     words: Mapping[str, Mapping[float, str]] = field(default_factory=dict)
     limits: Mapping[str, Limits] = field(default_factory=dict)
+    above: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:

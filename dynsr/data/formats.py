@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from dynsr.data.assembling import (
     load_mapping,
     unreadable,
 )
-from dynsr.data.layout import Row, rows_that_are_none, search_layout
+from dynsr.data.layout import Row, rows_that_are_none, search_layout, settings_of_wells
 from dynsr.data.scientific import fit_rows, load_hdf5, load_mat, load_netcdf, without
 from dynsr.data.text import is_comment
 from dynsr.errors import InputError, need
@@ -115,6 +116,7 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
     large = [name for name, (_, rows) in tables.items() if len(rows) >= _FEWEST]
     chosen = large[0] if large else max(tables, key=lambda name: len(tables[name][1]))
     layout, rows = tables[chosen]
+    above, skipped = settings_of_wells(lambda j: sheets[chosen][j], layout)
     notes = []
     if len(tables) > 1:
         others = ", ".join(repr(name) for name in tables if name != chosen)
@@ -125,8 +127,8 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
             f"sheet {chosen!r} of {path.name} was read, not {others}; {path.name + ':' + other!r} "
             f"is {again} where it is given as a file"
         )
-    if layout.skipped:
-        first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
+    if skipped:
+        first, last = skipped[0] + 1, skipped[-1] + 1
         count = f"row {first}" if first == last else f"rows {first} to {last}"
         have = "has" if first == last else "have"
         notes.append(f"{count} of {path.name} above its table {have} no data; skipped")
@@ -140,7 +142,7 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
     # Of a book with one sheet the name of the file says all.
     label = f"{path.name}:{chosen}" if len(names) > 1 else path.name
     none, said = rows_that_are_none(columns, label)
-    return assemble(
+    table = assemble(
         names,
         [column[~none] for column in columns],
         label,
@@ -148,6 +150,7 @@ def load_excel(path: Path, decimal: str | None = None, sheet: str = "") -> Colum
         notes=(*notes, *said),
         decimal=decimal,
     )
+    return replace(table, above=above)
 
 
 def _sheet(rows: Sequence[Sequence[Any]]) -> tuple[Any, Sequence[Sequence[Any]]] | None:

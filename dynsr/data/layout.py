@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dynsr.data.amounts import is_missing, is_unit, parse_number
+from dynsr.data.name_parts import FEWEST_WELLS, WELL
 
 _MONTH = r"(jan|feb|mar|m\u00e4r|apr|may|mai|jun|jul|aug|sep|oct|okt|nov|dec|dez)[a-z]*\.?"
 _DATE = re.compile(
@@ -285,6 +286,31 @@ def _arrange(rows: Sequence[Row], first: int, head: list[Row]) -> Layout:
     skipped = [r.place for r in rows[:first] if r.place not in kept and not r.comment]
     above = bool(used) and used[0].comment
     return Layout(rows[first].place, names, units, skipped, above)
+
+
+def settings_of_wells(
+    cells_of: Callable[[int], Sequence[Any]], layout: Layout
+) -> tuple[dict[str, dict[str, Any]], list[int]]:
+    """Give the rows above the names of the wells of a plate that say what was set in each.
+
+    Parameters
+    ----------
+    cells_of : gives the cells of a row at a place.
+    layout : where the table is.
+
+    Gives setting -> well -> cell, and the places of the other rows above.
+    """
+    wells = [j for j, name in enumerate(layout.names) if WELL.fullmatch(name)]
+    found: dict[str, dict[str, Any]] = {}
+    others = []
+    for place in layout.skipped if len(wells) >= FEWEST_WELLS else []:
+        cells = cells_of(place)
+        label = cell_text(cells[0]) if wells[0] and len(cells) > wells[-1] else ""
+        if label:
+            found[label] = {layout.names[j]: cells[j] for j in wells}
+        else:
+            others.append(place)
+    return found, others if found else layout.skipped
 
 
 def _as_units(row: Row) -> list[str] | None:

@@ -32,7 +32,12 @@ from dynsr.data.names import clean_name
 from dynsr.data.noise_model import rounding
 from dynsr.data.oddities import OddSettings, odd_marks
 from dynsr.data.roles import Roles, constants_left_out
-from dynsr.data.run_settings import RunSettings, apply_settings, find_settings
+from dynsr.data.run_settings import (
+    RunSettings,
+    apply_settings,
+    find_settings,
+    settings_above,
+)
 from dynsr.data.steps import between_rows
 from dynsr.data.time_columns import find_time
 from dynsr.data.times import convert_times
@@ -191,7 +196,19 @@ def read_trajectories(
         _volumes(read_doses(doses), found.roles),
     )
     told = _told(runs, understood.sentence, understood)
-    return replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+    table = replace(told, roles=found.roles, left_out=found.left_out, notes=found.notes)
+    above = settings_above(columns)
+    return (_with_settings(table, [above], 1) if above else None) or table
+
+
+def _with_settings(table: Table, found: Sequence[RunSettings], count: int) -> Table | None:
+    """Give a table whose runs have what was set in each; None where the settings name others."""
+    set_up = apply_settings(table.trajectories, table.description, found, count)
+    if set_up is None:
+        return None
+    runs, whole = set_up
+    told = _told(decide_hold(runs), whole.sentence, whole)
+    return replace(told, roles=table.roles, left_out=whole.left_out, notes=whole.notes)
 
 
 def _look_at_values(found: Understood, given: bool) -> Understood:
@@ -337,12 +354,8 @@ def _read_list(
             limits=limits,
             max_rows=max_rows,
         )
-        count = len(sources) - len(rest)
-        set_up = apply_settings(table.trajectories, table.description, every, count)
-        if set_up is not None:
-            set_runs, whole = set_up
-            table = _told(decide_hold(set_runs), whole.sentence, whole)
-            return replace(table, left_out=whole.left_out, notes=whole.notes)
+        if (whole := _with_settings(table, every, len(sources) - len(rest))) is not None:
+            return whole
     share = max(max_rows // len(sources), FEWEST_ROWS)
     tables, constants = [], []
     for source in sources:

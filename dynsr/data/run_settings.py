@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from dynsr.data.amounts import is_missing, parse_number
 from dynsr.data.columns import Columns
 from dynsr.data.description import Description
 from dynsr.data.formats import split_sheet
@@ -37,7 +38,7 @@ class RunSettings:
     Parameters
     ----------
     label : what messages call the source.
-    column : its column that names the runs.
+    column : what names the runs there, in words.
     values : name of a run -> setting -> its number; NaN where the cell is empty.
     renamed : its columns of numbers -> their names in formulas.
     units : setting -> its unit, where there is one.
@@ -66,8 +67,8 @@ class RunSettings:
             return None
         if lacking:
             raise InputError(
-                f"{self.label} has no row of {list_names(lacking)} in its column {self.column!r}; "
-                "give each run a row"
+                f"{self.label} has no row of {list_names(lacking)} in {self.column}; give each run "
+                "a row"
             )
         return [own for own in found if own is not None]
 
@@ -111,8 +112,49 @@ def find_settings(source: Any, load: Callable[[], Columns]) -> list[RunSettings]
         called = {n: clean_name(n) for n in numbers if n != name}
         units = {n: unit for n, unit in said.items() if n in own and unit}
         out = dict.fromkeys(others, f"is text of {columns.label}, which is no number")
-        found.append(RunSettings(columns.label, name, values, called, units, out))
+        found.append(RunSettings(columns.label, f"its column {name!r}", values, called, units, out))
     return found
+
+
+def settings_above(columns: Columns) -> RunSettings | None:
+    """Read rows above the names of the wells of a plate as settings of these; None without any.
+
+    Parameters
+    ----------
+    columns : whose ``above`` has a row for each setting.
+    """
+    if not columns.above:
+        return None
+    names = [_key(name) for own in columns.above.values() for name in own]
+    read = {
+        label: {_key(n): _number(cell) for n, cell in own.items()}
+        for label, own in columns.above.items()
+    }
+    numbers: dict[str, dict[str, float]] = {}
+    for label, own in read.items():
+        told = {n: v for n, v in own.items() if v is not None}
+        if len(told) == len(own) and np.isfinite(list(told.values())).any():
+            numbers[label] = told
+    renamed = {label: clean_name(label) for label in numbers}
+    return RunSettings(
+        columns.label,
+        "the wells",
+        {n: {renamed[label]: own[n] for label, own in numbers.items()} for n in names},
+        renamed,
+        {renamed[n]: unit for n in numbers if (unit := bracketed_unit(n))},
+        {n: "is text above the names, which is no number" for n in read if n not in numbers},
+    )
+
+
+def _number(cell: Any) -> float | None:
+    """Give a cell as a number, NaN where it is empty; None for text."""
+    if is_missing(cell):
+        return np.nan
+    if isinstance(cell, (int, float)):
+        return float(cell)
+    amount = parse_number(str(cell))
+    values = [] if amount is None else [amount.value(mark) for mark in ".,"]
+    return next((value for value in values if value is not None), None)
 
 
 def apply_settings(
@@ -154,8 +196,8 @@ def apply_settings(
         moving = {n: v for n, v in values.items() if len(set(v[there].tolist())) > 1}
         still = dict.fromkeys(values.keys() - moving.keys(), "is the same in every run")
         notes.append(
-            f"{own.label} has a row for each run, named by {own.column!r}, with "
-            f"{', '.join(moving) or 'no number that differs'}."
+            f"{own.label} has {', '.join(moving) or 'no number that differs'} for each run, named "
+            f"by {own.column}."
         )
         units = {n: unit for n, unit in own.units.items() if n in moving}
         runs = [
@@ -168,9 +210,10 @@ def apply_settings(
             )
             for i in rows
         ]
+        sources = dict.fromkeys([*description.source.split(", "), own.label])
         description = replace(
             description,
-            source=f"{description.source}, {own.label}",
+            source=", ".join(sources),
             trajectories=tuple(description.trajectories[i] for i in rows),
             parameters=(*description.parameters, *moving),
             renamed={**description.renamed, **own.renamed},

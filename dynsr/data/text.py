@@ -25,7 +25,15 @@ import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
-from dynsr.data.layout import NUMBER, TEXT, Row, kind, rows_that_are_none, search_layout
+from dynsr.data.layout import (
+    NUMBER,
+    TEXT,
+    Row,
+    kind,
+    rows_that_are_none,
+    search_layout,
+    settings_of_wells,
+)
 from dynsr.errors import InputError, quoted
 
 _HEAD_BYTES = 1 << 16
@@ -293,8 +301,9 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
             f"{quoted(head.first_line)}); separate cells by comma, tab, semicolon, | or spaces"
         )
     names = _fit_names(path.name, head, frame)
-    if layout.skipped:
-        first, last = layout.skipped[0] + 1, layout.skipped[-1] + 1
+    above, skipped = settings_of_wells(lambda j: _cells(head.lines[j], head.delimiter), layout)
+    if skipped:
+        first, last = skipped[0] + 1, skipped[-1] + 1
         count = f"line {first}" if first == last else f"lines {first} to {last}"
         have = "has" if first == last else "have"
         notes = (f"{count} of {path.name} above its table {have} no data; skipped", *notes)
@@ -304,7 +313,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     none, said = rows_that_are_none(columns, path.name)
     notes = (*notes, *said)
     columns = [column[~none] for column in columns]
-    return assemble(
+    table = assemble(
         names,
         columns,
         path.name,
@@ -313,6 +322,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
         decimal=decimal,
         delimiter=head.delimiter,
     )
+    return replace(table, above=above)
 
 
 def _with_increment(
