@@ -471,6 +471,9 @@ def test_a_column_that_is_no_time_by_name_is_said_where_it_is_taken_for_it():
     assert table.roles.time == "P [dbar]" and table.trajectories[0].states == ("T", "S")
     assert any("'P [dbar]' rises from row to row and was taken" in note for note in table.notes)
     assert not read_trajectories({"t": depth, "x": DECAY}).notes
+    for name, back in {"age_ka": True, "Age (yr BP)": True, "Karma": False}.items():
+        (note,) = read_trajectories({name: depth, "x": DECAY}).notes
+        assert ("counts back from now" in note) == back
 
 
 def test_dates_that_are_written_in_two_ways_are_refused_as_such():

@@ -30,6 +30,10 @@ _DAY, _HOUR = 86400.0, 3600.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
 # A letter T in such a unit is a temperature.
 _OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kelvin", re.IGNORECASE)
+# Ages of layers and ice, and what is left of a time.
+_BEFORE_NOW = re.compile(
+    r"(?<![^\W\d_])(bp|b2k|ago|ka|kyr|ma|myr|countdown|remaining)(?![^\W\d_])", re.IGNORECASE
+)
 _OTHER_TIME = re.compile(r"(t|time)_\w+", re.IGNORECASE)
 
 
@@ -408,6 +412,8 @@ class _Look:
             f"No column is called a time; {found.name!r} rises from row to row and was taken for "
             "it; --time names another."
         )
+        if _BEFORE_NOW.search(found.name):
+            note += " It counts back from now: take minus it, else slopes have the other sign."
         return [replace(found, notes=(*found.notes, note))]
 
     def _unit(self, name: str) -> str:
