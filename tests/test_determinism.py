@@ -101,6 +101,28 @@ def test_whole_states_raise_no_alarm(name):
         assert not ALARMS & set(kinds(t, x, target, 0.05, multiplicative=place % 2 == 1))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_a_state_that_comes_back_while_its_input_rests_looks_second_order(noise):
+    """A circuit rings behind a step of the voltage; one without a coil goes one way each time."""
+    t = np.arange(0, 40, 0.1)
+    volts = np.where(t % 20 >= 2, 5.0, 0.0)
+
+    def held(when):
+        return volts[np.searchsorted(t, when, side="right") - 1]
+
+    def follow(slopes, width):
+        made = solve_ivp(
+            lambda s, x: slopes(x, held(s)), (0, 40), [0.0] * width, "RK45", t, max_step=0.1
+        )
+        x = made.y[:1].T
+        x = x + noise * x.std() * np.random.default_rng(2).normal(size=x.shape)
+        return Trajectory(t, x, ("v",), volts[:, None], ("u",))
+
+    ringing = follow(lambda x, u: [x[1], u - x[0] - 0.4 * x[1]], 2)
+    assert [c.kind for c in diagnose(ringing, "v")] == ["second order", "missing state"]
+    assert diagnose(follow(lambda x, u: [(u - x[0]) / 1.5], 1), "v") == []
+
+
 @pytest.mark.parametrize(
     "name", ["pendulum", "damped pendulum", "Van der Pol", "Lotka-Volterra", "SIR"]
 )

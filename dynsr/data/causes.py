@@ -347,13 +347,14 @@ def _of_noise(
 class _Motion:
     """Slopes of the target: the samples of every run, and all of them as one orbit.
 
-    ``columns`` are the target's values at all rows of these runs, those without a slope too;
+    ``columns`` are the target's values at all rows of these runs, those without a slope too, cut
+    where inputs change; none where other states may move it meanwhile;
     ``noise`` is the variance of the slopes' noise as a share of theirs, of all rows together, and
     ``by_run`` (runs,) that of each run, where its mean square counts and not its median.
     """
 
     samples: tuple[Samples, ...]
-    columns: tuple[np.ndarray, ...]
+    columns: tuple[list[np.ndarray], ...]
     orbit: Orbit
     t: np.ndarray
     noise: float
@@ -378,12 +379,21 @@ def _samples(run: Trajectory, target: str) -> Samples | None:
         return None
 
 
-def _motion(runs: Sequence[Trajectory], target: str) -> _Motion | None:
+def _while_inputs_rest(run: Trajectory, fewest: int) -> list[np.ndarray]:
+    """Give the lone state of a run, cut where inputs change; [] where there are more states."""
+    if len(run.states) > 1:
+        return []
+    changes = np.any(np.diff(run.inputs, axis=0) != 0, axis=1)
+    pieces = np.split(run.x[:, 0], np.flatnonzero(changes) + 1)
+    return [piece for piece in pieces if len(piece) >= fewest]
+
+
+def _motion(runs: Sequence[Trajectory], target: str, settings: DiagnosisSettings) -> _Motion | None:
     pairs = [(run, found) for run in runs if (found := _samples(run, target)) is not None]
     if not pairs:
         return None
     samples = tuple(found for _, found in pairs)
-    columns = tuple(_column(run, target) for run, _ in pairs)
+    columns = tuple(_while_inputs_rest(run, settings.few_rows) for run, _ in pairs)
     orbit = join_orbits(
         [Orbit(s.X, s.y, np.full(len(s), i), np.arange(len(s))) for i, s in enumerate(samples)]
     )
@@ -405,7 +415,7 @@ def _unevenness(run: Trajectory, target: str) -> float:
 def _of_slopes(
     runs: Sequence[Trajectory], target: str, settings: DiagnosisSettings
 ) -> Iterator[Cause]:
-    motion = _motion(runs, target)
+    motion = _motion(runs, target, settings)
     if motion is None or np.var(motion.orbit.values) == 0:
         return
     if motion.noise > settings.slope_noise:
@@ -481,23 +491,28 @@ def _beside_trend(orbit: Orbit, pairs: Pairs, settings: DiagnosisSettings) -> Pa
 def _lacks(motion: _Motion, pairs: Pairs, noise: float, settings: DiagnosisSettings) -> bool:
     """Say whether the columns cannot be all states.
 
-    The orbit of x' = f(x) is monotone: a lone column of one run that does not come back contradicts
-    nothing, however its near rows differ, and one that does comes back to other slopes.
+    The orbit of x' = f(x) is monotone, and so is that of x' = f(x, u) while u rests: a lone column
+    of one run that does not come back contradicts nothing, however its near rows differ, and one
+    that does comes back to other slopes.
     """
     opened = _is_open(pairs, noise, settings)
-    if len(motion.samples[0].names) > 1:
-        return opened
     both = zip(motion.samples, motion.columns, strict=True)
-    back = [own for own, column in both if _turns_back(column, settings)]
-    if len(motion.samples) == 1:
+    back = [own for own, pieces in both if _any_turns_back(pieces, settings)]
+    if len(motion.samples) == 1 and len(motion.samples[0].names) == 1:
         return bool(back) and (opened or _is_smooth(back[0]))
     return opened or any(map(_is_smooth, back))
 
 
-def _turns_back(x: np.ndarray, settings: DiagnosisSettings) -> bool:
+def _any_turns_back(pieces: Sequence[np.ndarray], settings: DiagnosisSettings) -> bool:
+    """Whether a piece of a column goes and comes back, by a share of what the whole moves."""
+    whole = float(np.ptp(np.concatenate(pieces))) if pieces else 0.0
+    return any(_goes_back(x) > settings.reversal * whole for x in pieces)
+
+
+def _goes_back(x: np.ndarray) -> float:
     fall = float(np.max(np.maximum.accumulate(x) - x))
     rise = float(np.max(x - np.minimum.accumulate(x)))
-    return min(fall, rise) > settings.reversal * float(np.ptp(x))
+    return min(fall, rise)
 
 
 def turns_back(
@@ -517,7 +532,7 @@ def turns_back(
     """
     columns = (run.observed[:, run.index(target)] for run in runs)
     there = (column[np.isfinite(column)] for column in columns)
-    return any(_turns_back(column, settings) for column in there if len(column))
+    return any(_any_turns_back([column], settings) for column in there if len(column))
 
 
 def _is_smooth(samples: Samples) -> bool:
