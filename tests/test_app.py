@@ -185,7 +185,7 @@ def test_only_text_and_spreadsheets_are_taken(page, name):
     status, _, answer = page.ask(f"data?name={quote(name, safe='')}", b"PK\x03\x04")
     assert status == 400
     assert (
-        "is no table that the page takes (.csv, .tsv, .txt, .dat, .xlsx"
+        "is no table that the page takes (.csv, .tsv, .txt, .dat, .lvm, .xlsx"
         in json.loads(answer)["error"]
     )
 

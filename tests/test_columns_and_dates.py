@@ -6,6 +6,7 @@ import pytest
 import sympy
 
 import dynsr
+from dynsr.app.fields import in_fields
 from dynsr.data import Trajectory, in_formulas, read_trajectories, take_trajectories
 from dynsr.data.times import count_times, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
@@ -469,7 +470,9 @@ def test_a_column_that_is_no_time_by_name_is_said_where_it_is_taken_for_it():
     profile = {"P [dbar]": depth, "T [degC]": 4 + np.exp(-depth / 9), "S [PSU]": 35 - 9 / depth}
     table = read_trajectories(profile)
     assert table.roles.time == "P [dbar]" and table.trajectories[0].states == ("T", "S")
-    assert any("'P [dbar]' rises from row to row and was taken" in note for note in table.notes)
+    (note,) = table.notes
+    assert "'P [dbar]' rises from row to row and was taken" in note
+    assert in_fields(note).endswith("if it is another one, name that (the role 'time').")
     assert not read_trajectories({"t": depth, "x": DECAY}).notes
     for name, back in {"age_ka": True, "Age (yr BP)": True, "Karma": False}.items():
         (note,) = read_trajectories({name: depth, "x": DECAY}).notes

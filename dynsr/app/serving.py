@@ -42,7 +42,7 @@ _TOKEN_BYTES = 24
 _PATIENCE = 20.0
 # What is too large is taken and thrown away up to so many times the limit; then the line is cut.
 _DRAINED = 20
-_TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 # In bytes; a name may have 255.
 _LONGEST_NAME, _LONGEST_SUFFIX = 80, 10
 # Digits of the size of a file.

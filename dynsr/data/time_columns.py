@@ -410,7 +410,7 @@ class _Look:
             return []
         note = (
             f"No column is called a time; {found.name!r} rises from row to row and was taken for "
-            "it; --time names another."
+            "it; if it is another one, name that (--time)."
         )
         if _BEFORE_NOW.search(found.name):
             note += " It counts back from now: take minus it, else slopes have the other sign."
