@@ -117,6 +117,15 @@ class Alternative:
         """The equation that is another one."""
         return f"{self.state}' = {shown(tidy(self.equations[self.state]), 4)}"
 
+    @property
+    def distance(self) -> str:
+        """How many bits it takes more than the answer, or fewer, in words.
+
+        >>> Alternative({}, "x", 3.0).distance, Alternative({}, "x", -12.5).distance
+        ('3 bits behind', '12.5 bits ahead')
+        """
+        return f"{abs(self.bits):.3g} bits {'behind' if self.bits >= 0 else 'ahead'}"
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -173,7 +182,7 @@ class Suggestion:
         """What the bits measure, in a sentence."""
         if not self.alternatives:
             return "No other equation is left: the bits are of the constants."
-        others = "; ".join(f"{a.text} ({a.bits:.3g} bits behind)" for a in self.alternatives)
+        others = "; ".join(f"{a.text} ({a.distance})" for a in self.alternatives)
         most_of_one = max(bits for own in self.experiments for bits in own.each)
         if most_of_one < 1:
             return (
