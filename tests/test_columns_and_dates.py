@@ -455,6 +455,17 @@ def test_a_year_and_a_week_are_one_time(name):
     assert run.states == ("cases",) and np.array_equal(run.t, 7.0 * np.arange(60))
 
 
+@pytest.mark.parametrize("name", ["yyyy.yyyy", "decimal_year", "Year (dec)"])
+def test_a_decimal_year_next_to_dates_is_a_second_time(name):
+    """Leap years keep it off a line in days."""
+    days = pd.date_range("2011-03-14", periods=60, freq="30D")
+    years = days.year + (days.day_of_year - 1) / np.where(days.is_leap_year, 366, 365)
+    data = {"date": days.strftime("%Y-%m-%d").to_numpy(), name: np.round(years, 4), "x": DECAY}
+    table = read_trajectories(data)
+    assert table.trajectories[0].states == ("x",)
+    assert "a second time" in table.left_out[name]
+
+
 @pytest.mark.parametrize("name", ["month", "yyyymm", "period", "date"])
 def test_six_digits_are_a_year_and_a_month(name):
     """202012 is followed by 202101."""

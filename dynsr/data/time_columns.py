@@ -28,6 +28,10 @@ from dynsr.errors import InputError, quoted
 
 _DAY, _HOUR = 86400.0, 3600.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
+_DECIMAL_YEAR = re.compile(
+    r"y{4}[._]y+|(dec|decimal|fractional)[\W_]?(year|date)|(year|date)[\W_]*(dec|decimal|frac\w*)\W?",
+    re.IGNORECASE,
+)
 # A letter T in such a unit is a temperature.
 _OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kelvin", re.IGNORECASE)
 # Ages of layers and ice, and what is left of a time.
@@ -439,7 +443,12 @@ class _Look:
         left_out = {}
         for name in self._columns.names:
             values = self._values(name)
-            if name in time.columns or values.dtype.kind == "f":
+            if name in time.columns:
+                continue
+            if values.dtype.kind == "f":
+                # Years of 365 and 366 days are no line in days.
+                if _DECIMAL_YEAR.fullmatch(name) and time.counted:
+                    left_out[name] = f"is a second time in addition to {time.name!r}"
                 continue
             if values.dtype.kind == "m" and not is_time_name(name):
                 continue
