@@ -203,10 +203,11 @@ def test_a_table_of_nonmem_is_cut_at_its_doses(tmp_path):
 def test_doses_that_last_are_refused(tmp_path):
     """A column of rates cannot be left out without a word."""
     path = tmp_path / "pk.csv"
-    rows = "\n".join(f"{a},{10 if a == 0 else '.'},{20 - a},{1 - (a > 0)},5" for a in range(12))
-    path.write_text(f"TIME,AMT,DV,EVID,RATE\n{rows}")
-    with pytest.raises(InputError, match=r"'RATE' of pk\.csv is 5 in row 1"):
-        dynsr.describe(path, doses={"DV": "AMT"})
+    rows = "\n".join(f"{a},{10 if a == 0 else '.'},{20 - a},{1 - (a > 0)},-2" for a in range(12))
+    for key in ("RATE", "SS"):
+        path.write_text(f"TIME,AMT,DV,EVID,{key}\n{rows}")
+        with pytest.raises(InputError, match=rf"'{key}' of pk\.csv is -2 in row 1"):
+            dynsr.describe(path, doses={"DV": "AMT"})
 
 
 def nonmem(**columns):
@@ -255,6 +256,20 @@ def test_doses_that_are_given_again_have_rows():
     (first, other) = read_trajectories(table, doses={"DV": "AMT/V"}).trajectories
     assert first.t[first.by_name["AMT"] == 10].tolist() == [0, 4, 8]
     assert other.t[other.by_name["AMT"] == 10].tolist() == [0]
+
+
+def test_a_dose_with_a_rate_is_an_infusion():
+    """The rate is an input that ends where the amount is given, in a row of its own or not."""
+    dose = np.tile(np.arange(13.0) == 0, 2)
+    table = nonmem(RATE=lambda t: np.where(dose, 4.0, 0.0))  # 10 at 4 an hour end after 2.5 h
+    table["AMT"] = np.where(dose, [10.0] * 13 + [20.0] * 13, 0.0)
+    found = read_trajectories(table)
+    assert found.description.inputs == ("RATE",) and not found.description.doses
+    short, long = found.trajectories
+    assert short.hold == {"RATE": "previous"} and not short.measured[short.t == 2.5].any()
+    assert short.by_name["RATE"].tolist() == [4.0 * (t < 2.5) for t in short.t]
+    assert long.by_name["RATE"].tolist() == [4.0 * (t < 5) for t in long.t]
+    assert sorted(set(short.t)) == [1, 2, 2.5, *range(3, 13)]
 
 
 @pytest.mark.parametrize("which", ["DVID", "CMT"])

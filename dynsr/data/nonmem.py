@@ -15,7 +15,7 @@ from dynsr.errors import InputError
 _KINDS = ("evid", "mdv", "cmt")
 _CENSORED = ("cens", "lloq", "uloq", "limit", "blq")
 _REPEATS = ("addl", "ii")
-_REFUSED = ("rate", "ss")
+_LASTING = ("rate", "ss")
 # What numbers the quantity that was measured.
 _QUANTITIES = ("dvid", "cmt")
 _KIND = "says what kind a row is (NONMEM)"
@@ -30,21 +30,23 @@ def find_nonmem(columns: Columns, label: str) -> dict[str, str]:
     columns : the columns of the source.
     label : what a message calls the source.
 
-    There must be a column AMT. Raises InputError where doses last, or are in a steady state.
+    There must be a column AMT. Raises InputError where infusions last for an unknown time, or doses
+    are in a steady state.
     """
     table = _Table.of(columns)
     if table is None:
         return {}
-    for key in _REFUSED:
-        values = table.numbers(key)
+    rate = table.numbers("rate")
+    for key, values in (("rate", np.minimum(rate, 0.0)), ("ss", table.numbers("ss"))):
         if np.any(values != 0):
             row = int(np.flatnonzero(values)[0])
             raise InputError(
                 f"column {table.named[key]!r} of {label} is {values[row]:g} in row {row + 1}: "
-                "doses are read one row each; write a row for each dose, and an infusion as a "
-                "column of its rate, which is an input"
+                "doses are read one row each; write a row for each dose, and an infusion with its "
+                "rate"
             )
-    codes = [key for key in (*_KINDS, *_REPEATS, *_REFUSED) if key in table.named]
+    codes = [key for key in (*_KINDS, *_REPEATS, *_LASTING) if key in table.named]
+    codes = [key for key in codes if key != "rate" or not np.any(rate)]
     found = {table.named[key]: _KIND for key in codes}
     if table.quantity:
         found[table.named[table.quantity]] = "says which quantity a row is of (NONMEM)"
@@ -63,7 +65,8 @@ def read_nonmem(columns: Columns) -> Columns:
 
     A value in a row of a dose was not measured. One that is censored is below, or above, its
     limit. A dose that is given again has a row for each time. Values of several quantities, by the
-    numbers in ``DVID`` or ``CMT``, get a column each.
+    numbers in ``DVID`` or ``CMT``, get a column each. A dose with a rate is an infusion: ``RATE``
+    is then an input, which keeps its value until the amount is given.
 
     >>> names = ("ID", "TIME", "AMT", "DV", "MDV", "CENS")
     >>> rows = [[1, 0, 10, 0, 1, 0], [1, 1, 0, 4, 0, 0], [1, 2, 0, 2, 0, 1]]
@@ -72,7 +75,7 @@ def read_nonmem(columns: Columns) -> Columns:
     (array([nan,  4., nan]), array([nan, nan,  2.]))
     """
     table = _Table.of(columns)
-    return columns if table is None else _apart(_with_repeats(table.measured()))
+    return columns if table is None else _apart(_with_infusions(_with_repeats(table.measured())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +156,37 @@ def _with_repeats(columns: Columns) -> Columns:
     place = np.lexsort((np.arange(len(every)) >= len(more), times, order))
     limits = {name: own.select(every[place]) for name, own in columns.limits.items()}
     return replace(columns, values=tuple(own[place] for own in by_name.values()), limits=limits)
+
+
+def _with_infusions(columns: Columns) -> Columns:
+    """Give the rate of the infusions that run at each row, and a row to the end of each."""
+    import pandas
+
+    table = _Table.of(columns)
+    assert table is not None
+    rate, amount, times = table.numbers("rate"), table.numbers("amt"), table.numbers("time", np.nan)
+    rows = np.flatnonzero((rate > 0) & (amount > 0) & np.isfinite(times))
+    if not rows.size:
+        return columns
+    ends = times[rows] + amount[rows] / rate[rows]
+    every = np.concatenate([np.arange(len(rate)), rows])
+    by_name = {n: own[every] for n, own in zip(columns.names, columns.values, strict=True)}
+    when = np.concatenate([times, ends])
+    subject = by_name[table.named["id"]] if "id" in table.named else 0 * when
+    who = pandas.factorize(subject)[0]
+    begun = (who[:, None] == who[rows]) & (when[:, None] >= times[rows])
+    running = begun & (when[:, None] < ends)
+    name, own = table.named["rate"], table.named["amt"]
+    by_name[table.named["time"]], by_name[name] = when, running @ rate[rows]
+    given = np.isin(np.arange(len(every)), [*rows, *range(len(rate), len(every))])
+    by_name[own] = np.where(given, np.nan, by_name[own])
+    place = np.lexsort((when, who))
+    return replace(
+        columns,
+        values=tuple(cells[place] for cells in by_name.values()),
+        limits={n: limit.select(every[place]) for n, limit in columns.limits.items()},
+        inputs=(*columns.inputs, name),
+    )
 
 
 def _apart(columns: Columns) -> Columns:
