@@ -270,6 +270,11 @@ def test_a_dose_with_a_rate_is_an_infusion():
     assert short.by_name["RATE"].tolist() == [4.0 * (t < 2.5) for t in short.t]
     assert long.by_name["RATE"].tolist() == [4.0 * (t < 5) for t in long.t]
     assert sorted(set(short.t)) == [1, 2, 2.5, *range(3, 13)]
+    with pytest.raises(InputError, match="all doses of 'AMT' in the mapping are infusions"):
+        read_trajectories(table, doses={"DV": "AMT/V"})
+    both = {**table, "RATE": np.where(np.arange(26) == 0, 4.0, 0.0)}
+    infused, given = read_trajectories(both, doses={"DV": "AMT/V"}).trajectories
+    assert not infused.by_name["AMT"].any() and given.by_name["AMT"].max() == 20
 
 
 @pytest.mark.parametrize("which", ["DVID", "CMT"])

@@ -172,7 +172,14 @@ def _without_kinds(columns: Columns, asked: Asked) -> Columns:
     kinds = {n: why for n, why in find_nonmem(columns, columns.label).items() if n not in said}
     if not kinds:
         return columns
-    columns = read_nonmem(columns)
+    before, columns = columns, read_nonmem(columns)
+    for state, own in asked.doses.items() if columns.inputs != before.inputs else ():
+        amounts = columns.values[columns.names.index(find_column(own, columns, "dose"))]
+        if amounts.dtype.kind == "f" and not np.nan_to_num(amounts).any():
+            raise InputError(
+                f"all doses of {own!r} in {columns.label} are infusions, whose rate is an input: "
+                f"{state} jumps by none; leave the dose out"
+            )
     kept = columns.only([name for name in columns.names if name not in kinds])
     return replace(kept, left_out={**columns.left_out, **kinds})
 
