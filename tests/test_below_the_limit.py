@@ -328,6 +328,20 @@ def test_limits_stay_with_their_rows_when_a_table_is_put_together_otherwise(tmp_
     assert np.allclose(found.below[found.there], 0.75 * LIMIT)
 
 
+@pytest.mark.parametrize("word", ["OVRFLW", "Over range", "overflow"])
+def test_words_of_the_end_of_the_range_mean_what_is_said_of_it(word):
+    """A plate reader writes them: without its end they are no value, as a note says."""
+    high = TRUE > 0.6
+    cells = np.where(high, word, TRUE.astype(str)).astype(object)
+    table = read_trajectories({"t": T, "x": cells})
+    assert not table.trajectories[0].limits
+    (note,) = [n for n in table.notes if "limit" in n]
+    assert note.startswith(f"{high.sum()} cells say that 'x' was above a limit")
+    assert note.endswith("--limit 'x=>...'")
+    found = limits_of({"t": T, "x": cells}, limits={"x": ">0.6"})
+    assert np.array_equal(found.above == 0.6, high) and not np.isfinite(found.below).any()
+
+
 def test_words_mean_the_limit_that_is_said():
     """BDL is the one limit that the column writes, else the one that is given, else no value."""
     low = TRUE < 0.12

@@ -11,7 +11,7 @@ from typing import Any
 # What people and programs write where there is no value; compared without case.
 _NOTHING = """
 nan n/a na <na> n.a. n.a n.d. n.d nd n.m. k.a. null none
-nil missing void overflow ovrflw overrange
+nil missing void
 . .. ... - -- --- \u2013 \u2014 ? ?? * ** *** #n/a #na #nv #div/0! #value! #ref! #num!
 #name? #null! #wert! #zahl! #bezug! -nan nan(ind) -nan(ind) 1.#qnan 1.#ind -1.#ind
 """
@@ -34,10 +34,11 @@ _NO_WORDS = (
     "not sampled",
     "no sample",
     "sample lost",
-    "over range",
     "no data",
 )
-MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split(), *BELOW))
+# What says that a value was beyond the end of the range, which is not written.
+ABOVE = frozenset(("overflow", "ovrflw", "overrange", "over range", "out of range high", ">max"))
+MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split(), *BELOW, *ABOVE))
 _SPACES = " \u00a0\u202f\u2009"
 _CELL = re.compile(
     r"""(?P<limit>[<>≤≥]=?|=[<>])?\s*(?P<money>[$€£¥])?\s*(?P<sign>[-+\u2212]?)
@@ -86,7 +87,7 @@ def is_missing(cell: Any) -> bool:
     [True, True, True, True, False, False]
     """
     if isinstance(cell, str):
-        return cell.strip().lower() in MISSING or says_below(cell)
+        return cell.strip().lower() in MISSING or says_below(cell) or says_above(cell)
     try:
         return cell is None or bool(cell != cell)  # noqa: PLR0124
     except (TypeError, ValueError):  # pandas.NA, or a cell that holds several values
@@ -100,6 +101,15 @@ def says_below(cell: Any) -> bool:
     [True, True, False, False, False]
     """
     return isinstance(cell, str) and " ".join(cell.lower().split()).replace("< ", "<") in BELOW
+
+
+def says_above(cell: Any) -> bool:
+    """Whether a cell says that the value is above the end of the range, which is not written.
+
+    >>> [says_above(cell) for cell in ("OVRFLW", "Over range", "overcast", None)]
+    [True, True, False, False]
+    """
+    return isinstance(cell, str) and " ".join(cell.lower().split()) in ABOVE
 
 
 @cache

@@ -14,6 +14,7 @@ from dynsr.data.amounts import (
     is_missing,
     is_unit,
     parse_number,
+    says_above,
     says_below,
     without_marks,
 )
@@ -158,6 +159,7 @@ class _Look:
         self.counts = np.bincount(self.codes[self.codes >= 0], minlength=len(self.distinct))
         self.decisive: dict[str, str] = {}
         self.low: list[int] = []
+        self.high: list[int] = []
         self.parsed: list[Amount | None] = []
         self.marked: list[int] = []
         self.numbers = self._all_alike(self.distinct)
@@ -180,7 +182,9 @@ class _Look:
         self.places = np.flatnonzero(words & ~empty)
         self.others = ~words & ~empty
         self.texts = [self.distinct[j].strip() for j in self.places]
-        self.low = [j for j in np.flatnonzero(empty).tolist() if says_below(self.distinct[j])]
+        said = np.flatnonzero(empty).tolist()
+        self.low = [j for j in said if says_below(self.distinct[j])]
+        self.high = [j for j in said if says_above(self.distinct[j])]
 
     def _parse(self) -> None:
         """Take each text apart as a number, and note which decimal marks are shown."""
@@ -327,7 +331,7 @@ class _Look:
         """Give the limits that cells say, and what is said of words that mean one of these."""
         pairs = zip(self.places, self.parsed, strict=False)
         beyond = [(place, own) for place, own in pairs if own is not None and own.limit]
-        if not beyond and not self.low:
+        if not beyond and not self.low and not self.high:
             return None, ()
         table = Limits.none(len(self.distinct) + 1)
         for place, number in beyond:
@@ -336,6 +340,8 @@ class _Look:
             side[place] = np.nan if value is None else value
         written = np.unique(table.below[~np.isnan(table.below)])
         table.below[self.low] = written[0] if len(written) == 1 else np.inf
+        ends = np.unique(table.above[~np.isnan(table.above)])
+        table.above[self.high] = ends[0] if len(ends) == 1 else -np.inf
         if not table.there.any():
             return None, ()
         word = self.distinct[self.low[0]].strip() if self.low else ""

@@ -98,7 +98,8 @@ class Limits:
     ----------
     below : (n,) limits that the measured value was below; NaN at other rows. inf says that it was
         below a limit that is not known.
-    above : (n,) limits that the measured value was above; NaN at other rows.
+    above : (n,) limits that the measured value was above; NaN at other rows. -inf says that it was
+        above a limit that is not known.
 
     >>> limits = Limits(np.array([np.nan, 0.5, np.inf]), np.full(3, np.nan))
     >>> limits.there.tolist(), limits.known.tolist()
@@ -173,15 +174,23 @@ class Limits:
         found: np.ndarray = np.fmax(np.fmin(x, self.below), self.above)
         return found
 
-    def with_words(self, limit: np.ndarray | float) -> Limits:
+    def with_words(
+        self, below: np.ndarray | float | None = None, above: float | None = None
+    ) -> Limits:
         """Give the same limits, with a number in the place of those that are not known.
 
         Parameters
         ----------
-        limit : the number, or (n,) of them; where that is NaN, the limit stays unknown.
+        below : the number, or (n,) of them; where that is NaN, the limit stays unknown.
+        above : the number for those that the value was above; None for none.
         """
-        words = np.isinf(self.below) & ~np.isnan(limit)
-        return replace(self, below=np.where(words, limit, self.below))
+        found = self
+        if below is not None:
+            words = np.isinf(self.below) & ~np.isnan(below)
+            found = replace(found, below=np.where(words, below, self.below))
+        if above is not None:
+            found = replace(found, above=np.where(np.isinf(self.above), above, self.above))
+        return found
 
 
 def limit_cells(
@@ -203,9 +212,8 @@ def limit_cells(
     >>> x.tolist(), limits.below.tolist()
     ([0.3, nan, nan], [nan, 0.05, 0.05])
     """
-    own = Limits.none(len(x)) if limits is None else limits
+    own = (Limits.none(len(x)) if limits is None else limits).with_words(below, above)
     if below is not None:
-        own = own.with_words(below)
         own = replace(own, below=np.where(x <= below, below, own.below))
     if above is not None:
         own = replace(own, above=np.where(x >= above, above, own.above))

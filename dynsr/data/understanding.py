@@ -463,14 +463,16 @@ def _limits_of(columns: Columns, roles: Roles, asked: Asked) -> tuple[dict[str, 
             continue
         new = roles.renamed[name]
         given = asked.limits.get(name, asked.limits.get(new))
-        if given is not None and given.below is not None:
-            own = own.with_words(given.below)
-        if count := int(np.sum(np.isinf(own.below))):
-            cells = "1 cell says" if count == 1 else f"{count} cells say"
-            notes.append(
-                f"{cells} that {name!r} was below a limit that is not written, and so without a "
-                f"value; say the limit, and they count: --limit {new}=..."
-            )
+        if given is not None:
+            own = own.with_words(given.below, given.above)
+        for side, limits in (("below", own.below), ("above", own.above)):
+            if count := int(np.sum(np.isinf(limits))):
+                cells = "1 cell says" if count == 1 else f"{count} cells say"
+                shown = f"{new}=..." if side == "below" else f"'{new}=>...'"
+                notes.append(
+                    f"{cells} that {name!r} was {side} a limit that is not written, and so without "
+                    f"a value; say the limit, and they count: --limit {shown}"
+                )
         own = own.where(own.known)
         if own.there.any():
             found[name] = own
