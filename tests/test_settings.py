@@ -44,7 +44,6 @@ SELDOM = {
     "selection.comparison.softness",
     "selection.fit.explained",
     "selection.fit.match_follows",
-    "selection.fit.solver",
     "selection.fit.tie_bits",
     "selection.look.proposals.doubt",
     "selection.look.stands_out",

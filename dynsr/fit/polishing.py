@@ -26,11 +26,6 @@ from dynsr.fit.ties import Ties, find_ties
 from dynsr.fit.variation import loosen, with_floats
 from dynsr.fit.whole import StatesFit, fit_states, interval_reach
 
-# Intervals over which no system amplifies the errors of its solver much.
-_SHORT = 100
-# Share by which the errors of a solver of loose tolerance may bend a constant.
-_BENT = 0.01
-
 Data: TypeAlias = Sequence[Trajectory] | Measurements
 Fit: TypeAlias = StatesFit | AlongFit
 
@@ -154,8 +149,7 @@ class _Polishing:
             return untouched_match(exprs, self.data, self.inputs, settings)
         numbers: list[sympy.Expr] = as_floats(fit.constants)
         if settings.snap:
-            fit, whole = self._whole_numbers(fit)
-            numbers = self._simple_numbers(fit, whole)
+            numbers = self._simple_numbers(fit, self._whole_numbers(fit))
         final = {s: readable(e) for s, e in fit.put(numbers).items()}
         loose = loosen_all(final)
         free = self._fit(loose, near=fit) or fit
@@ -199,15 +193,10 @@ class _Polishing:
         sizes = np.maximum(noise, NOISY * spread)[columns]
         return bool(np.all(fit.sizes <= self.settings.followed * sizes))
 
-    def _whole_numbers(self, fit: Fit) -> tuple[Fit, dict[int, sympy.Expr]]:
-        """Give the constants that are whole numbers up to the errors of the states' own solver.
+    def _whole_numbers(self, fit: Fit) -> dict[int, sympy.Expr]:
+        """Give the constants that are whole numbers, where all that are near to one may be.
 
-        States made by a solver of loose tolerance follow the law only up to its errors, which a
-        chaotic system amplifies over long windows until noise no longer hides them, so that the
-        fit comes to rest many standard errors away from the law. Over short windows whole numbers,
-        which are used most, are taken where misses rise by less than the share
-        ``settings.solver``. Gives the fit to go on from too: the one over short windows where
-        these numbers need it.
+        Whole numbers are used most, and the others are surer once these are known.
         """
         settings = self.settings
         near = [(i, round(float(v))) for i, v in enumerate(fit.constants)]
@@ -216,25 +205,8 @@ class _Polishing:
             for i, n in near
             if n != 0 and abs(n - fit.constants[i]) <= settings.near * abs(n)
         }
-        near_enough = {i: n for i, n in whole.items() if _distance(fit, i, n) <= reach(n, settings)}
-        if near_enough == whole and (not whole or self._allowed(fit, whole)):
-            return fit, whole
-        # A solver bends constants by little: what is further off is another number.
-        whole = {i: n for i, n in whole.items() if abs(n - fit.constants[i]) <= _BENT * abs(n)}
-        if not whole:
-            return fit, {}
-        shortest = replace(settings, match_longest=_SHORT)
-        exprs = fit.put(as_floats(fit.constants))
-        short = fit_states(exprs, _plain(self.data), self.inputs, shortest)
-        if short is None:
-            return fit, {}
-        order = _places(fit, as_floats(fit.constants))
-        whole = {place: whole[i] for place, i in enumerate(order) if i in whole}
-        if self._allowed(short, whole):
-            return fit, {}
-        again = self._fit_with(short, whole)
-        rise = math.inf if again is None else short.ratio(again) / short.misses.size
-        return (short, whole) if rise <= settings.solver else (fit, {})
+        far = any(_distance(fit, i, n) > reach(n, settings) for i, n in whole.items())
+        return {} if far or not self._allowed(fit, whole) else whole
 
     def _allowed(self, fit: Fit, taken: Mapping[int, sympy.Expr]) -> bool:
         """Say whether the likelihood ratio allows these numbers together.
@@ -242,6 +214,8 @@ class _Polishing:
         At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are
         factors 1.
         """
+        if not taken:
+            return True
         again = self._fit_with(fit, taken)
         beyond = chdtrc(1, self.settings.surely_zero**2)
         return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)

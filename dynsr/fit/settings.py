@@ -69,8 +69,6 @@ class FitSettings:
         exact states.
     explained : share of the slopes' size above which residuals show that a formula is no law.
     pinned : relative standard error that denominators above 8 and more than two digits ask for.
-    solver : share of the measurements that the likelihood ratio of whole numbers may come to over
-        short windows of states made by a solver of loose tolerance.
     sure : probability, given the prior of use, above which a constant is taken for a simple number.
     within : a simple number lies within so many standard errors of the fitted value.
     joint : level of the likelihood ratio that all simple numbers together must pass.
@@ -106,7 +104,6 @@ class FitSettings:
     confirmed: float = 3e-6
     explained: float = 0.01
     pinned: float = 1e-4
-    solver: float = 0.03
     sure: float = 0.75
     within: float = 2.0
     joint: float = 0.95
