@@ -376,4 +376,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Workers find a solution that is kept by the name of its module.
+    from covered import main as named
+
+    named()
