@@ -206,7 +206,7 @@ class _Polishing:
             if n != 0 and abs(n - fit.constants[i]) <= settings.near * abs(n)
         }
         far = any(_distance(fit, i, n) > reach(n, settings) for i, n in whole.items())
-        return {} if far or not self._allowed(fit, whole) else whole
+        return whole if whole and not far and self._allowed(fit, whole) else {}
 
     def _allowed(self, fit: Fit, taken: Mapping[int, sympy.Expr]) -> bool:
         """Say whether the likelihood ratio allows these numbers together.
@@ -214,8 +214,6 @@ class _Polishing:
         At the level of ``surely_zero`` standard errors, as for terms: most whole numbers are
         factors 1.
         """
-        if not taken:
-            return True
         again = self._fit_with(fit, taken)
         beyond = chdtrc(1, self.settings.surely_zero**2)
         return again is not None and fit.ratio(again) <= chdtri(len(taken), beyond)

@@ -142,19 +142,21 @@ class Profiling:
         best = Held(math.nan, 0.0, fit.constants, states)
         cost = fit.problem.cost(states, fit.constants)
         ways = np.eye(len(fit.constants))
-        begun = cls(fit.problem, ways, best, fit.errors, cost, fit.scale, fit.freedom, settings)
-        return begun if (better := begun._better()) is None else better
+        return cls(fit.problem, ways, best, fit.errors, cost, fit.scale, fit.freedom, settings)
 
-    @property
-    def rests(self) -> bool:
-        """Whether no better fit is near, so that a rise says how far a parameter may be off."""
-        return self._better() is None
+    def at_rest(self, again: bool = True) -> Profiling | None:
+        """Begin where no better fit is near; None where the fit does not come to rest.
 
-    def _better(self) -> Profiling | None:
-        """Begin at a better fit that is near; None where there is none."""
+        Only there a rise says how far a parameter may be off.
+
+        Parameters
+        ----------
+        again : whether a better fit is taken, once.
+        """
         lower = self._begin_again(self.best)
-        least = self.settings.better * self.limit * self.scale
-        return lower if lower.cost < self.cost - least else None
+        if lower.cost < self.cost - self.settings.better * self.limit * self.scale:
+            return lower.at_rest(again=False) if again else None
+        return self
 
     def tied(self, ways: np.ndarray) -> Profiling:
         """Give the profiles of parameters that several constants may share.

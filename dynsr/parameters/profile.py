@@ -154,8 +154,8 @@ class Profiles:
             raise InputError(
                 "the equations cannot be fitted along these data; their slopes diverge"
             )
-        profiling = Profiling.of(fit, settings)
-        if not profiling.rests:
+        profiling = Profiling.of(fit, settings).at_rest()
+        if profiling is None:
             raise InputError(
                 "the fit of these equations along the data does not come to rest, as they do not "
                 "follow the data; their constants have no profiles"
