@@ -105,7 +105,9 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
         return f"{state}' with {name}" if state else f"without {name}"
 
     def look() -> None:
-        how = selection.comparison
+        # With defects of any size a hidden state would follow whatever the others leave.
+        fit = replace(selection.comparison.fit, estimated=False)
+        how = replace(selection.comparison, fit=fit)
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)
         with Turns(["", *states[:-1]], title, options.report) as turns:

@@ -53,6 +53,9 @@ COLLOCATION = CollocationSettings()
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
+# Weights of the defects that are tried to find the best one, how close to it ends that (in its
+# logarithm), and the share by which one is changed to see what the data determine.
+_SOUGHT, _CLOSE, _SHARE = 3, 0.5, 0.01
 # Times the usual one from which on a time between rows is cut no further.
 _LONGEST = 10.0
 # Noise, as a share of the spread, up to which it may be none.
@@ -216,6 +219,8 @@ class CollocationFit:
     information : (P, P) what the data say of the constants, in inverse squares of their units.
     censored : (c,) residuals of the censored cells, the roots of their deviances.
     allowed : (k,) the part of the mean squares that censored cells would have on their limits.
+    weight : that of the squared defects; None where it is the last of the settings.
+    volume : twice the logarithm of how much less the states are known before the data than after.
     """
 
     exprs: dict[str, sympy.Expr]
@@ -226,6 +231,8 @@ class CollocationFit:
     information: np.ndarray
     censored: np.ndarray = field(default_factory=lambda: np.zeros(0))
     allowed: np.ndarray | float = 0.0
+    weight: float | None = None
+    volume: float = 0.0
 
     @property
     def squares(self) -> float:
@@ -332,6 +339,29 @@ class _Gathered:
 
 
 @dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A fit at one weight of the defects, and what the data say of the weight.
+
+    ``evidence`` is minus twice its logarithm, of which ``volume`` is the part of the states;
+    ``left`` are the squared defects times their weight, and ``determined`` is the number of defects
+    that the data determine: for the best weight they are equal (MacKay 1992).
+    """
+
+    weight: float
+    states: np.ndarray
+    constants: np.ndarray
+    evidence: float
+    volume: float
+    left: float
+    determined: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the defects are no larger than this weight expects, give or take chance."""
+        return self.left <= self.determined + 2 * math.sqrt(2 * self.determined)
+
+
+@dataclass(frozen=True, eq=False)
 class Collocation:
     """The least-squares problem of one system on one mesh.
 
@@ -340,6 +370,7 @@ class Collocation:
     exprs : state -> equation; a state of the mesh each, in its order.
     mesh : the data.
     settings : the numbers that decide.
+    weight : that of the squared defects; by default the last of the settings.
 
     >>> t = np.linspace(0, 2, 41)
     >>> x = np.exp(-0.7 * t)[:, None]
@@ -353,6 +384,12 @@ class Collocation:
     exprs: Mapping[str, sympy.Expr]
     mesh: Mesh
     settings: CollocationSettings = COLLOCATION
+    weight: float | None = field(default=None, kw_only=True)
+
+    @property
+    def _last(self) -> float:
+        """Weight of the squared defects at the end of a fit."""
+        return self.settings.stiffness[-1] if self.weight is None else self.weight
 
     @cached_property
     def _template(self) -> tuple[dict[str, sympy.Expr], dict[sympy.Symbol, float]]:
@@ -591,8 +628,10 @@ class Collocation:
         ----------
         near, strict : as for a fit.
         """
-        begun = self.mesh.start if near is None else near.states
-        return self._in_stages(np.ascontiguousarray(begun.T), strict)
+        begun = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
+        if not self.settings.estimated:
+            return self._in_stages(begun, strict)
+        return self._by_evidence(begun, (near.weight or 0.0) if strict and near else 0.0)
 
     def cost(self, states: np.ndarray, constants: np.ndarray) -> float:
         """Sum of squares that a fit ends in: misses, and defects times their last weight.
@@ -602,7 +641,7 @@ class Collocation:
         states : (k, n) the trajectory.
         constants : (P,) values.
         """
-        return self._cost(states, constants, self.settings.stiffness[-1])
+        return self._cost(states, constants, self._last)
 
     def fit_free(
         self, states: np.ndarray, constants: np.ndarray, ways: np.ndarray
@@ -617,14 +656,23 @@ class Collocation:
 
         Gives states, constants and :meth:`cost`; None where the slopes are not finite.
         """
-        stiffness = self.settings.stiffness[-1]
+        stiffness = self._last
         moved = self._stage(states, constants, stiffness, ways)
         return None if moved is None else (*moved, self._cost(*moved, stiffness))
 
-    def _finish(self, states: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, ...] | None:
-        """Give states, constants, mean squares and information; None where this is not known."""
+    def _finish(
+        self, states: np.ndarray, constants: np.ndarray, at: _Weighed | None = None
+    ) -> tuple[np.ndarray, ...] | None:
+        """Give states, constants, mean squares and information; None where this is not known.
+
+        Parameters
+        ----------
+        states, constants : where the fit ended.
+        at : the weight of the defects there, which comes last with its volume.
+        """
+        weight = self._last if at is None else at.weight
         try:
-            information = self.normal(states.T, constants).information
+            information = self.normal(states.T, constants, None, weight).information
         except (LinAlgError, ValueError):
             return None
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
@@ -633,10 +681,10 @@ class Collocation:
             squares += self.mesh.censored.by_state(own, len(squares))
         # Where the steps came to rest early, the states do not follow the system yet.
         defects = self._defects(states, constants)
-        left = self.settings.stiffness[-1] * np.sum(defects**2, axis=1)
-        squares += np.maximum(left - self.settings.expected * defects.shape[1], 0.0)
+        squares += weight * np.sum(defects**2, axis=1)
         squares /= np.maximum(self.mesh.rows, 1.0)
-        return states, constants, squares, information
+        evidence = () if at is None else (np.array([at.weight, at.volume]),)
+        return states, constants, squares, information, *evidence
 
     def as_fit(
         self,
@@ -644,6 +692,7 @@ class Collocation:
         constants: np.ndarray,
         mean_squares: np.ndarray,
         information: np.ndarray,
+        evidence: np.ndarray | None = None,
     ) -> CollocationFit:
         """Give the fit that ends in given arrays; see :class:`CollocationFit`.
 
@@ -651,10 +700,13 @@ class Collocation:
         ----------
         states : (k, n) the trajectory.
         constants, mean_squares, information : as there.
+        evidence : (2,) its weight and volume.
         """
         exprs = self.put([sympy.Float(c) for c in constants.tolist()])
         misses = self._missed(states).T
         found = CollocationFit(exprs, constants, states.T, misses, mean_squares, information)
+        if evidence is not None:
+            found = replace(found, weight=float(evidence[0]), volume=float(evidence[1]))
         if self.mesh.censored is None:
             return found
         own = self.mesh.censored.residuals(self.mesh.seen(states))
@@ -695,14 +747,105 @@ class Collocation:
 
         The stages before lead to its start, which need not be exact.
         """
-        constants, (*early, last) = self.constants, self.settings.stiffness
-        stages = [(weight, self.settings.early) for weight in ([] if begun else early)]
+        constants, last = self.constants, self._last
+        early = [] if begun else [one for one in self.settings.stiffness if one < last]
+        stages = [(weight, self.settings.early) for weight in early]
         for weight, gain in (*stages, (last, self.settings.gain)):
             moved = self._stage(states, constants, weight, ways, gain)
             if moved is None:
                 return None
             states, constants = moved
         return self._finish(states, constants)
+
+    def _by_evidence(self, states: np.ndarray, begun: float) -> tuple[np.ndarray, ...] | None:
+        """Fit with the weight of the defects for which the evidence is greatest.
+
+        The weight grows by stages for as long as the evidence does; then it is sought between
+        these, or below the first.
+
+        Parameters
+        ----------
+        states : (k, n) where they start.
+        begun : the weight of a like fit that these are from; 0 for curves of the data.
+        """
+        stages, weight = self.settings.stiffness, begun or self.settings.stiffness[0]
+        at, found = (states, self.constants), list[_Weighed]()
+        holds, breaks, sought = 0.0, math.inf, 0
+        while one := self._weigh(*at, weight, sought == 0):
+            found.append(one)
+            if one.holds:
+                holds = weight
+            else:
+                breaks = weight
+            if one.holds or not holds:
+                at = one.states, one.constants
+            if holds == stages[-1]:
+                break
+            if math.isinf(breaks):
+                weight = next(more for more in stages if more > weight)
+                continue
+            wanted = weight * one.determined / max(one.left, 1e-300)
+            if holds and not holds < wanted < breaks:
+                wanted = math.sqrt(holds * breaks)
+            sought += 1
+            if sought > _SOUGHT or abs(math.log(wanted / weight)) < _CLOSE:
+                break
+            weight = wanted
+        if not found:
+            return None
+        best = min(found, key=lambda one: one.evidence)
+        return self._finish(best.states, best.constants, best)
+
+    def _weigh(
+        self, states: np.ndarray, constants: np.ndarray, weight: float, early: bool
+    ) -> _Weighed | None:
+        """Fit at one weight; with ``early`` no further than to see whether it may grow."""
+        early = early and weight != self.settings.stiffness[-1]
+        gains = [self.settings.early] * early + [self.settings.gain]
+        one = None
+        for gain in gains:
+            moved = self._stage(states, constants, weight, None, gain)
+            if moved is None:
+                return one
+            states, constants = moved
+            try:
+                one = self._evidence_at(states, constants, weight)
+            except (LinAlgError, ValueError):
+                return None
+            # What is left may be how far the fit is from its end.
+            if one.holds:
+                break
+        return one
+
+    def evidence(self, states: np.ndarray, constants: np.ndarray) -> float:
+        """Give minus twice the logarithm of the evidence for equations and weight of the defects.
+
+        The evidence is the probability of the measured states, whatever the true ones are (Laplace;
+        exact for linear equations), given the constants. The factor that depends on the noise alone
+        is left out.
+
+        Parameters
+        ----------
+        states : (k, n) the most probable trajectory.
+        constants : (P,) values.
+
+        Raises LinAlgError where the data do not determine the states.
+        """
+        return self._evidence_at(states, constants, self._last).evidence
+
+    def _evidence_at(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed:
+        with np.errstate(all="ignore"):
+            point = self._linearise(states, constants)
+        shares = 1.0, 1 + _SHARE
+        first, more = (_log_det(self._gather(point, states, weight * one)) for one in shares)
+        count = point.defects.size
+        determined = max(count - (more - first) / math.log1p(_SHARE), 0.0)
+        # A density of the defect is one of the next state times how fast the defect moves with it.
+        ends = np.linalg.slogdet(np.moveaxis(point.by_right, -1, 0))[1]
+        volume = first - 2 * float(np.sum(ends)) - count * math.log(weight)
+        left = weight * float(np.vdot(point.defects, point.defects))
+        evidence = self._cost(states, constants, weight) + volume
+        return _Weighed(weight, states, constants, evidence, volume, left, determined)
 
     def _stage(
         self,
@@ -846,7 +989,7 @@ class Collocation:
         columns = np.ascontiguousarray(states.T)
         with np.errstate(all="ignore"):
             point = self._linearise(columns, constants, probes)
-        weight = self.settings.stiffness[-1] if stiffness is None else stiffness
+        weight = self._last if stiffness is None else stiffness
         return self._eliminate(self._gather(point, columns, weight), 0.0)[0]
 
     def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
@@ -856,6 +999,14 @@ class Collocation:
         slopes = self.slope(*states.T, *driven[:, :n], *values)
         both = np.concatenate([states.T, self._middle(states.T, slopes)], axis=1)
         return np.concatenate([both, driven])
+
+
+def _log_det(gathered: _Gathered) -> float:
+    """Logarithm of the determinant of the normal equations of the states."""
+    factor, failed = lapack.dpbtrf(gathered.band)
+    if failed:
+        raise LinAlgError
+    return 2 * float(np.sum(np.log(factor[-1])))
 
 
 def usual_scales(own: np.ndarray, owners: np.ndarray, slopes: np.ndarray) -> np.ndarray:

@@ -19,15 +19,15 @@ class CollocationSettings:
     gain : a stage ends when a step lowers the sum of squares by less than this share.
     early : the same for the stages before the last, which lead to its start.
     difference : step of the numerical derivatives, relative to a state's spread and a constant.
-    expected : mean squared defect, times its last weight, that does not speak against a system:
-        between 0 and 1, for what a solver of loose tolerance leaves in measured states.
+    estimated : whether the weight is that of the greatest evidence, the last of these at most; by
+        default it is the last.
     """
 
     stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
     steps: int = 12
     gain: float = 1e-4
     difference: float = 1e-7
-    expected: float = 0.0
+    estimated: bool = False
     early: float = 1e-4
 
 

@@ -66,8 +66,6 @@ class ComparisonSettings:
         states; those have a pattern, and terms would be found for it.
     coarse, dense : the same where an oscillation takes fewer rows than ``dense``: what is between
         rows so far apart looks like noise, and slopes are rough.
-    loose : noise, as a share of the spread, below which the defects of a system count no more than
-        at this noise.
     alone : formulas of each state that are fitted with the other states read from their curves.
     sums : sums of terms of other equations, and of a joint's acceleration, that are fitted alone.
     alone_softness : weight of the defects along smoothed states, which are not quite those of a
@@ -99,7 +97,6 @@ class ComparisonSettings:
     noisy: float = 5e-4
     coarse: float = 5e-5
     dense: float = 50.0
-    loose: float = 1e-2
     alone: int = 40
     proposals: ProposalSettings = ProposalSettings()
     sums: int = 15
@@ -122,7 +119,7 @@ class ComparisonSettings:
     rows: int = 2000
     parts: Parts = Parts()
     demands: Demands = Demands()
-    fit: CollocationSettings = CollocationSettings(early=0.5)
+    fit: CollocationSettings = CollocationSettings(early=0.5, estimated=True)
 
     def ask(self, data: Measurements) -> bool:
         """Whether states are asked, and not their slopes alone.
@@ -152,6 +149,19 @@ class SystemFit:
     def exprs(self) -> Equations:
         """State -> equation with its fitted constants."""
         return self.fit.exprs
+
+    @cached_property
+    def strict(self) -> CollocationFit:
+        """The same system fitted so that the states follow it strictly; where that cannot be, it.
+
+        A fit whose defects have a weight of their own says what the system leaves out of a step,
+        and this one what it leaves out of the whole.
+        """
+        last = self.problem.settings.stiffness[-1]
+        if self.fit.weight is None or self.fit.weight == last:
+            return self.fit
+        held = replace(self.problem.settings, estimated=False)
+        return replace(self.problem, settings=held, weight=None).fit(self.fit, True) or self.fit
 
     @property
     def points(self) -> np.ndarray:
@@ -184,7 +194,7 @@ class SystemComparison:
             return None
         key = tuple(skeleton(e) for e in exprs.values())
         before = self._cache.get(key)
-        problem = Collocation(exprs, self.mesh, self._held)
+        problem = Collocation(exprs, self.mesh, self._how)
         if key not in self._cache or self._may_do_better(key, problem, before):
             self._starts.setdefault(key, []).append(problem.inside)
             fit = self._solve(problem, near)
@@ -226,7 +236,8 @@ class SystemComparison:
         data = (mesh.t, mesh.left, mesh.x, mesh.weights, mesh.driven, mesh.states)
         cells = () if mesh.censored is None else mesh.censored.arrays
         # The text of a formula has fewer digits than its constants.
-        system = (problem.exprs, problem.constants, begin, strict)
+        weight = near.weight if strict and near is not None else None
+        system = (problem.exprs, problem.constants, begin, strict, weight)
         every = (*system, *data, *cells, mesh.driven_names, problem.settings)
         found = recalled("system", partial(problem.solve, near, strict), *every)
         return None if found is None else problem.as_fit(*found)
@@ -239,6 +250,7 @@ class SystemComparison:
         if len(owners_of(found.exprs)) < len(found.constants):
             return None
         bits = self.bits(found, problem.scales(found))
+        problem = replace(problem, weight=found.weight)
         return SystemFit(problem, found, bits) if math.isfinite(bits) else None
 
     def _is_bare(self, expr: sympy.Expr) -> bool:
@@ -255,19 +267,10 @@ class SystemComparison:
                 self._ranges[expr] = float(np.ptp(evaluate(expr, self.mesh.columns)))
         return self._ranges[expr]
 
-    @cached_property
-    def _held(self) -> CollocationSettings:
-        """How strictly the states must obey the equations of a system.
-
-        Weights of defects count in units of the noise. What a solver at a loose tolerance leaves in
-        its states grows with the time, and where noise is smaller, terms would be found for it.
-        """
-        fit, mesh = self.settings.fit, self.mesh
-        noise = float(np.median(mesh.unit / mesh.spread))
-        held = min(1.0, (noise / self.settings.loose) ** 2)
-        most = fit.stiffness[-1] * held
-        stages = tuple(min(weight, most) for weight in fit.stiffness)
-        return replace(fit, stiffness=stages, expected=1 - held)
+    @property
+    def _how(self) -> CollocationSettings:
+        """How a system is fitted."""
+        return self.settings.fit
 
     def fit_near(self, exprs: Equations, near: SystemFit) -> SystemFit | None:
         """Fit from a system that is almost the same, going back no further than needed.
@@ -285,7 +288,7 @@ class SystemComparison:
         before = self._cache.get(key)
         if before is not None and before.bits < near.bits:
             return before
-        problem = Collocation(exprs, self.mesh, self._held)
+        problem = Collocation(exprs, self.mesh, self._how)
         fit = self._solve(problem, near, strict=True)
         if fit is not None and (before is None or fit.bits < before.bits):
             self._cache[key] = before = fit
@@ -343,6 +346,7 @@ class SystemComparison:
         told = shortened_bits(fit.information, fit.errors, scales, fit.constants, saved)
         squares = np.maximum(fit.mean_squares, FLOOR)
         missed = residual_bits(squares, self.mesh.rows, self.mesh.known)
+        missed += fit.volume / (2 * math.log(2))
         least = self.structure(fit.exprs) + told
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
@@ -464,8 +468,12 @@ def leaves_noise(fit: SystemFit, settings: ComparisonSettings) -> bool:
     The mean square of n normal residuals in units of their noise is 1, give or take sqrt(2 / n).
     """
     rows = fit.problem.mesh.rows
-    squares = fit.fit.mean_squares - fit.fit.allowed
-    return bool(np.all((squares <= most_of_noise(rows, settings)) | (rows == 0)))
+    most = most_of_noise(rows, settings)
+
+    def leaves(found: CollocationFit) -> bool:
+        return bool(np.all((found.mean_squares - found.allowed <= most) | (rows == 0)))
+
+    return leaves(fit.fit) and leaves(fit.strict)
 
 
 def may_be_exact(fit: SystemFit, data: Measurements) -> bool:
@@ -478,7 +486,7 @@ def may_be_exact(fit: SystemFit, data: Measurements) -> bool:
     fit : a system.
     data : the measured states that it was fitted to.
     """
-    return data.may_be_exact or float(np.min(fit.fit.mean_squares)) < _TOO_CLOSE
+    return data.may_be_exact or float(np.min(fit.strict.mean_squares)) < _TOO_CLOSE
 
 
 def noise_shown(fit: SystemFit) -> dict[str, float] | None:
@@ -492,7 +500,7 @@ def noise_shown(fit: SystemFit) -> dict[str, float] | None:
     fit : the system.
     """
     mesh = fit.problem.mesh
-    squares = np.sum(fit.fit.misses**2, axis=0) / np.maximum(mesh.rows, 1.0)
+    squares = np.sum(fit.strict.misses**2, axis=0) / np.maximum(mesh.rows, 1.0)
     fitted = mesh.rows.sum() / mesh.freedom(len(fit.fit.constants))
     shown = np.where((mesh.rows > 0) & ~mesh.known, squares * fitted, 1.0)
     if np.min(shown) >= _TOO_CLOSE:

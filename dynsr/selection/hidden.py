@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import chain, combinations
 
 import numpy as np
@@ -223,10 +222,10 @@ class HiddenComparison(SystemComparison):
 
     coupling: Coupling = field(kw_only=True)
 
-    @cached_property
-    def _held(self) -> CollocationSettings:
+    @property
+    def _how(self) -> CollocationSettings:
         # The first curve of a hidden state is rough: it takes all steps of each stage.
-        return replace(super()._held, early=self.settings.fit.gain)
+        return replace(self.settings.fit, early=self.settings.fit.gain)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system is not one of these."""

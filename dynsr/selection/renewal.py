@@ -40,10 +40,8 @@ def _propose(
 ) -> list[sympy.Expr]:
     """Give the sums that are expected to replace parts of the system best."""
     settings = comparison.settings
-    # The states of a system that misses them are not quite those of another.
-    weight = None if leaves_noise(fit, settings) else settings.softness
     nodes = settings.proposals.nodes
-    evidence = Evidence.in_place(fit.fit, fit.problem, parts, comparison.columns, nodes, weight)
+    evidence = Evidence.in_place(fit.fit, fit.problem, parts, comparison.columns, nodes, None)
     if evidence is None:
         return []
     return comparison.propose(next(iter(parts)), evidence, tuple(others.items()), near=near)
