@@ -53,9 +53,6 @@ COLLOCATION = CollocationSettings()
 _FACTOR, _EXPONENT = 3.0, 1.0
 # Rows an oscillation from which on steps of order 4 are good, and most parts and rows for that.
 _TURN, _PARTS, _NODES = 20.0, 4, 2000
-# Weights of the defects that are tried to find the best one, how close to it ends that (in its
-# logarithm), and the share by which one is changed to see what the data determine.
-_SOUGHT, _CLOSE, _SHARE = 3, 0.5, 0.01
 # Times the usual one from which on a time between rows is cut no further.
 _LONGEST = 10.0
 # Noise, as a share of the spread, up to which it may be none.
@@ -784,11 +781,11 @@ class Collocation:
             if math.isinf(breaks):
                 weight = next(more for more in stages if more > weight)
                 continue
-            wanted = weight * one.determined / max(one.left, 1e-300)
+            wanted = weight * one.determined / one.left if one.left else math.inf
             if holds and not holds < wanted < breaks:
                 wanted = math.sqrt(holds * breaks)
             sought += 1
-            if sought > _SOUGHT or abs(math.log(wanted / weight)) < _CLOSE:
+            if sought > 3 or abs(math.log(wanted / weight)) < 0.5:
                 break
             weight = wanted
         if not found:
@@ -836,10 +833,10 @@ class Collocation:
     def _evidence_at(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed:
         with np.errstate(all="ignore"):
             point = self._linearise(states, constants)
-        shares = 1.0, 1 + _SHARE
+        count, step = point.defects.size, math.sqrt(self.settings.difference)
+        shares = 1.0, 1 + step
         first, more = (_log_det(self._gather(point, states, weight * one)) for one in shares)
-        count = point.defects.size
-        determined = max(count - (more - first) / math.log1p(_SHARE), 0.0)
+        determined = max(count - (more - first) / math.log1p(step), 0.0)
         # A density of the defect is one of the next state times how fast the defect moves with it.
         ends = np.linalg.slogdet(np.moveaxis(point.by_right, -1, 0))[1]
         volume = first - 2 * float(np.sum(ends)) - count * math.log(weight)
