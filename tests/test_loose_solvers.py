@@ -7,10 +7,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import dynsr
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, diagnose
 from dynsr.expression import parse
 from dynsr.fit import Collocation, CollocationSettings, Measurements, Mesh, with_floats
 from dynsr.selection.comparison import COMPARISON, SystemComparison, leaves_noise
+from dynsr.verdict import give_verdict
 
 STRICT = CollocationSettings().stiffness[-1]
 
@@ -119,3 +120,37 @@ def test_two_species_of_a_loose_solver_are_found():
     a, b = sympy.symbols("x y")
     assert {term.as_coeff_Mul()[1] for term in found.equations["x"].args} == {a, a * b}
     assert {term.as_coeff_Mul()[1] for term in found.equations["y"].args} == {b, a * b}
+
+
+def swing(tolerance, rows=300):
+    """Give a pendulum as scipy makes it between its steps, at a tolerance."""
+    t = np.linspace(0, 10, rows)
+    slopes = lambda t, x: [x[1], -4 * np.sin(x[0])]  # noqa: E731
+    x = solve_ivp(slopes, (0, 10), [1.2, 0.0], t_eval=t, rtol=tolerance, atol=1e-3 * tolerance).y.T
+    return Trajectory(t, x, ("q", "v"))
+
+
+def test_rows_between_the_steps_of_a_loose_solver_are_diagnosed():
+    """Rows of scipy's default tolerance were interpolated; with noise, or at 1e-9, they were not.
+
+    Nor were a line, a ramp in steps, and a column at rest, whose differences are 0 too.
+    """
+    loose, strict = swing(1e-3), swing(1e-9)
+    noise = 1e-6 * np.random.default_rng(0).normal(size=(300, 2))
+    noisy = Trajectory(loose.t, loose.x + noise, loose.states)
+    kinds = [[c.kind for c in diagnose(run, run.states[0])] for run in (loose, strict, noisy)]
+    assert [kind[:1] == ["interpolated"] for kind in kinds] == [True, False, False]
+    t = loose.t
+    for plain in (2 * t, np.round(t), np.where(t < 5, t, 5.0), np.where(t < 5, 0.0, np.sin(t))):
+        run = Trajectory(t, np.column_stack([plain, strict.x[:, 0]]), ("x", "q"))
+        assert "interpolated" not in {cause.kind for cause in diagnose(run, "x")}
+
+
+def test_a_law_missed_by_the_errors_of_a_solver_says_so():
+    """The verdict of exact rows of a loose solver names its tolerance."""
+    run = swing(1e-3)
+    q, v = sympy.symbols("q v")
+    verdict = give_verdict({"q": v, "v": -4 * sympy.sin(q)}, [run])
+    assert verdict.level == "approximation"
+    assert "solve again with rtol=1e-9" in verdict.states["q"].reason
+    assert give_verdict({"q": v, "v": -4 * sympy.sin(q)}, [swing(1e-9)]).level == "law"

@@ -59,6 +59,8 @@ class DiagnosisSettings:
     forced : share of the differences that a sinusoid in time explains at least, where time is
         named as the cause.
     nearest_part : share of the pairs, the nearest ones, that such a wave is sought in.
+    interpolated : share of the fifth differences that are 0, and of the spread that the others
+        reach, from which on rows were interpolated with errors.
     reversal : share of the range that a lone column goes and comes back, at least, where it
         cannot be the only state.
     """
@@ -82,6 +84,7 @@ class DiagnosisSettings:
     neighbours_within: float = 0.4
     forced: float = 0.9
     nearest_part: float = 0.3
+    interpolated: tuple[float, float] = (0.1, 1e-4)
     reversal: float = 0.2
 
 
@@ -100,7 +103,8 @@ class Cause:
     Parameters
     ----------
     kind : "missing state", "second order", "time dependence", "map", "stiff",
-        "sampling too coarse", "noise in the motion", "too few rows" or "too much noise".
+        "sampling too coarse", "noise in the motion", "too few rows", "too much noise" or
+        "interpolated".
     sentence : the same in words, with the column and the remedy.
     evidence : the numbers behind it.
     """
@@ -147,12 +151,13 @@ def diagnose(
     long = [run for run in some if len(run) >= settings.few_rows]
     if not long or np.ptp(np.concatenate([_column(run, target) for run in long])) == 0:
         return causes
+    made = list(_of_solver(long, target, settings))
     shape = list(_of_shape(long, target, settings))
     if shape:
-        return [*shape, *causes]
+        return [*made, *shape, *causes]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return [*_of_slopes(long, target, settings), *causes]
+        return [*made, *_of_slopes(long, target, settings), *causes]
 
 
 def _column(run: Trajectory, target: str) -> np.ndarray:
@@ -170,6 +175,36 @@ def _few_rows(
             f"{rows} rows are few for {states} state{'s' * (states > 1)}: several equations for "
             f"{target} may fit them equally well; {wanted} or more distinguish them better.",
             {"rows": rows, "wanted": wanted},
+        )
+
+
+def _of_solver(
+    runs: Sequence[Trajectory], target: str, settings: DiagnosisSettings
+) -> Iterator[Cause]:
+    """Say that rows are polynomials of degree 4 at most between others that are further apart.
+
+    Solvers of medium order give such rows between their steps (Shampine 1986), and splines do.
+    """
+    even = [run for run in runs if _are_even([run]) and len(run) >= settings.few_rows]
+    if not even:
+        return
+    columns = [_column(run, target) for run in even]
+    size = max(float(np.max(np.abs(x))) for x in columns)
+    third = np.concatenate([np.abs(np.diff(x, 3))[1:-1] for x in columns])
+    fifth = np.concatenate([np.abs(np.diff(x, 5)) for x in columns])
+    # A fifth difference is a sum of rows, 32 of them with their signs; twice that is rounding.
+    rounding = 64 * np.finfo(float).eps * size
+    share = float(np.mean((fifth <= rounding) & (third > 4 * rounding)))
+    reached = float(fifth.max()) / scale_of(np.concatenate(columns))
+    least, jump = settings.interpolated
+    if share >= least and reached >= jump:
+        yield Cause(
+            "interpolated",
+            f"{target} was interpolated: {100 * share:.0f} % of its rows lie on polynomials "
+            "of degree 4 or less, which jump where they meet. Solvers such as solve_ivp make such "
+            "rows between their steps, with the errors of these: solve again with rtol=1e-9 and "
+            "atol=1e-12. Of measured data, give the rows that were measured.",
+            {"share of rows": share, "jump": reached},
         )
 
 

@@ -101,7 +101,7 @@ _EVERY = "every equation reproduces and forecasts the data within their noise."
 _NAMED = 5
 
 # Causes that leave an equation unsure which explains all.
-_OF_MORE = ("too few rows", "too much noise", "map")
+_OF_MORE = ("too few rows", "too much noise", "map", "interpolated")
 
 # Causes that the same data may have, of which all are said.
 _ALIKE = ("second order", "time dependence", "missing state")
