@@ -12,7 +12,7 @@ stable for stiff systems, since the rule is implicit.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -217,7 +217,8 @@ class CollocationFit:
     censored : (c,) residuals of the censored cells, the roots of their deviances.
     allowed : (k,) the part of the mean squares that censored cells would have on their limits.
     weight : that of the squared defects; None where it is the last of the settings.
-    volume : twice the logarithm of how much less the states are known before the data than after.
+    volume : twice the logarithm of how much less the states are known before the data than after,
+        and of what the weight costs.
     """
 
     exprs: dict[str, sympy.Expr]
@@ -339,9 +340,10 @@ class _Gathered:
 class _Weighed:
     """A fit at one weight of the defects, and what the data say of the weight.
 
-    ``evidence`` is minus twice its logarithm, of which ``volume`` is the part of the states;
-    ``left`` are the squared defects times their weight, and ``determined`` is the number of defects
-    that the data determine: for the best weight they are equal (MacKay 1992).
+    ``evidence`` is minus twice its logarithm, of which ``volume`` is the part of the states and of
+    the ``price`` of the weight; ``left`` are the squared defects times their weight, and
+    ``determined`` is the number of defects that the data determine: for the best weight they are
+    equal (MacKay 1992).
     """
 
     weight: float
@@ -351,6 +353,12 @@ class _Weighed:
     volume: float
     left: float
     determined: float
+    price: float
+
+    @property
+    def falls(self) -> bool:
+        """Whether the evidence falls by more than the price of a weight with each factor e."""
+        return self.left - self.determined > self.price
 
     @property
     def holds(self) -> bool:
@@ -626,7 +634,7 @@ class Collocation:
         near, strict : as for a fit.
         """
         begun = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
-        if not self.settings.estimated:
+        if self.settings.loose is None:
             return self._in_stages(begun, strict)
         return self._by_evidence(begun, (near.weight or 0.0) if strict and near else 0.0)
 
@@ -757,50 +765,58 @@ class Collocation:
     def _by_evidence(self, states: np.ndarray, begun: float) -> tuple[np.ndarray, ...] | None:
         """Fit with the weight of the defects for which the evidence is greatest.
 
-        The weight grows by stages for as long as the evidence does; then it is sought between
-        these, or below the first.
+        The weight grows by stages for as long as the evidence does. Where that falls, the best
+        weight is sought between these, or below the first.
 
         Parameters
         ----------
         states : (k, n) where they start.
         begun : the weight of a like fit that these are from; 0 for curves of the data.
         """
-        stages, weight = self.settings.stiffness, begun or self.settings.stiffness[0]
+        above = [weight for weight in self.settings.stiffness if weight > begun]
         at, found = (states, self.constants), list[_Weighed]()
-        holds, breaks, sought = 0.0, math.inf, 0
-        while one := self._weigh(*at, weight, sought == 0):
+        for weight in [begun, *above] if begun else above:
+            if (one := self._weigh(*at, weight)) is None:
+                break
             found.append(one)
-            if one.holds:
-                holds = weight
-            else:
-                breaks = weight
-            if one.holds or not holds:
-                at = one.states, one.constants
-            if holds == stages[-1]:
+            if one.falls:
                 break
-            if math.isinf(breaks):
-                weight = next(more for more in stages if more > weight)
-                continue
-            wanted = weight * one.determined / one.left if one.left else math.inf
-            if holds and not holds < wanted < breaks:
-                wanted = math.sqrt(holds * breaks)
-            sought += 1
-            if sought > 3 or abs(math.log(wanted / weight)) < 0.5:
-                break
-            weight = wanted
+            at = one.states, one.constants
+        if found and not found[-1].holds:
+            found += self._seek(found)
         if not found:
             return None
         best = min(found, key=lambda one: one.evidence)
         return self._finish(best.states, best.constants, best)
 
-    def _weigh(
-        self, states: np.ndarray, constants: np.ndarray, weight: float, early: bool
-    ) -> _Weighed | None:
-        """Fit at one weight; with ``early`` no further than to see whether it may grow."""
-        early = early and weight != self.settings.stiffness[-1]
-        gains = [self.settings.early] * early + [self.settings.gain]
-        one = None
-        for gain in gains:
+    def _seek(self, found: Sequence[_Weighed]) -> Iterator[_Weighed]:
+        """Give fits at weights between the last that holds and the first that does not.
+
+        Parameters
+        ----------
+        found : fits at weights that grow; the last one does not hold.
+        """
+        low = max((one for one in found if one.holds), key=lambda one: one.weight, default=None)
+        one = high = min((o for o in found if not o.holds), key=lambda one: one.weight)
+        for _ in range(3):
+            # The weight of the best evidence, if as many defects are determined there (MacKay).
+            weight = one.weight * one.determined / one.left if one.left else math.inf
+            if low is not None and not low.weight < weight < high.weight:
+                weight = math.sqrt(low.weight * high.weight)
+            if abs(math.log(weight / one.weight)) < 0.5:
+                return
+            near = one if low is None else low
+            sought = self._weigh(near.states, near.constants, weight)
+            if sought is None:
+                return
+            yield sought
+            one = sought
+            low, high = (one, high) if one.holds else (low, one)
+
+    def _weigh(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed | None:
+        """Fit at one weight; where it may grow, no further than to see that."""
+        last, one = weight == self.settings.stiffness[-1], None
+        for gain in [self.settings.gain] if last else [self.settings.early, self.settings.gain]:
             moved = self._stage(states, constants, weight, None, gain)
             if moved is None:
                 return one
@@ -836,13 +852,23 @@ class Collocation:
         count, step = point.defects.size, math.sqrt(self.settings.difference)
         shares = 1.0, 1 + step
         first, more = (_log_det(self._gather(point, states, weight * one)) for one in shares)
-        determined = max(count - (more - first) / math.log1p(step), 0.0)
+        determined = max(count - (more - first) / math.log1p(step), np.finfo(float).tiny)
         # A density of the defect is one of the next state times how fast the defect moves with it.
         ends = np.linalg.slogdet(np.moveaxis(point.by_right, -1, 0))[1]
         volume = first - 2 * float(np.sum(ends)) - count * math.log(weight)
         left = weight * float(np.vdot(point.defects, point.defects))
-        evidence = self._cost(states, constants, weight) + volume
-        return _Weighed(weight, states, constants, evidence, volume, left, determined)
+        price = self._price_of(weight, determined)
+        evidence = self._cost(states, constants, weight) + volume + price
+        return _Weighed(
+            weight, states, constants, evidence, volume + price, left, determined, price
+        )
+
+    def _price_of(self, weight: float, determined: float) -> float:
+        """Twice the logarithm of what a weight below the last costs, as one constant more."""
+        if self.settings.loose is None or weight >= self.settings.stiffness[-1]:
+            return 0.0
+        far = math.log(self.settings.stiffness[-1] / weight)
+        return 2 * math.log(2) * self.settings.loose + math.log1p(far**2 * determined / 2)
 
     def _stage(
         self,

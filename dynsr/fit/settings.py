@@ -19,15 +19,15 @@ class CollocationSettings:
     gain : a stage ends when a step lowers the sum of squares by less than this share.
     early : the same for the stages before the last, which lead to its start.
     difference : step of the numerical derivatives, relative to a state's spread and a constant.
-    estimated : whether the weight is that of the greatest evidence, the last of these at most; by
-        default it is the last.
+    loose : bits that a smaller weight than the last costs, apart from how well it is known. It is
+        taken where the evidence is greater by more; None where all have the last.
     """
 
     stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
     steps: int = 12
     gain: float = 1e-4
     difference: float = 1e-7
-    estimated: bool = False
+    loose: float | None = None
     early: float = 1e-4
 
 

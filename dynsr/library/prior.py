@@ -361,6 +361,11 @@ class Prior:
         timed = sum(c for role, c in self.counts["role"].items() if role.startswith("time "))
         return math.log2(sum(self.counts["terms"].values()) / max(timed, _MORE))
 
+    @cached_property
+    def loose_bits(self) -> float:
+        """Bits of a system that does not hold exactly: of all equations, not one does not."""
+        return math.log2(sum(self.counts["terms"].values()) / _MORE)
+
     def _says(self, question: str, yes: bool) -> float:
         return self._choices[question].bits("yes" if yes else "no", ("no", "yes"))
 

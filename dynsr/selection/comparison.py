@@ -119,7 +119,7 @@ class ComparisonSettings:
     rows: int = 2000
     parts: Parts = Parts()
     demands: Demands = Demands()
-    fit: CollocationSettings = CollocationSettings(early=0.5, estimated=True)
+    fit: CollocationSettings = CollocationSettings(early=0.5, loose=textbooks().loose_bits)
 
     def ask(self, data: Measurements) -> bool:
         """Whether states are asked, and not their slopes alone.
@@ -160,7 +160,7 @@ class SystemFit:
         last = self.problem.settings.stiffness[-1]
         if self.fit.weight is None or self.fit.weight == last:
             return self.fit
-        held = replace(self.problem.settings, estimated=False)
+        held = replace(self.problem.settings, loose=None)
         return replace(self.problem, settings=held, weight=None).fit(self.fit, True) or self.fit
 
     @property
