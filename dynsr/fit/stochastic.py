@@ -274,6 +274,15 @@ class StochasticSystem:
         return found
 
     @cached_property
+    def _one(self) -> np.ndarray:
+        return np.eye(len(self.series.states))
+
+    @cached_property
+    def _ways(self) -> np.ndarray:
+        """(2 k + 1, k) ways from a mean to the points at which slopes are taken."""
+        return np.concatenate([np.zeros_like(self._one[:1]), self._one, -self._one])
+
+    @cached_property
     def owners(self) -> tuple[str, ...]:
         """The state of each constant of the drift."""
         names = self._templates[1]
@@ -330,25 +339,22 @@ class StochasticSystem:
         kurtosis = 3
         # A step of the covariance is linear in it, also where a stage is no covariance yet.
         far = np.sqrt(kurtosis * np.maximum(own, 0.0) + (_STEP * self.series.scale) ** 2)
-        shifts = far[..., None, :] * np.concatenate([np.zeros((1, k)), np.eye(k), -np.eye(k)])
-        points = mean[..., None, :] + shifts
-        columns = [*np.moveaxis(points, -1, 0), *driven[:, None, :, None]]
+        points = mean[..., None, :] + far[..., None, :] * self._ways
+        columns = [*points.transpose(3, 0, 1, 2), *driven[:, None, :, None]]
         found = self._program(*columns, *constants)
         slopes, variances = found[:k], np.maximum(found[k:], self.least[:, None, None, None])
         middle, ahead, behind = slopes[..., :1], slopes[..., 1 : k + 1], slopes[..., k + 1 :]
         bent = ((ahead + behind - 2 * middle) / (2 * kurtosis)).sum(axis=-1)
-        drift = np.moveaxis(middle[..., 0] + bent, 0, -1)
-        turned = np.moveaxis((ahead - behind) / (2 * far), 0, -2) @ spread
-        middle, ahead, behind = (
-            np.sqrt(variances[..., some])
-            for some in (slice(1), slice(1, k + 1), slice(k + 1, None))
-        )
+        drift = (middle[..., 0] + bent).transpose(1, 2, 0)
+        turned = ((ahead - behind) / (2 * far)).transpose(1, 2, 0, 3) @ spread
+        sizes = np.sqrt(variances)
+        middle, ahead, behind = sizes[..., :1], sizes[..., 1 : k + 1], sizes[..., k + 1 :]
         if self.correlations:
             roots = middle[..., 0]
             noise = np.einsum("iqr,jqr,qij->qrij", roots, roots, mixed)
         else:
             mean_of = (ahead**2 + behind**2 - 2 * middle**2).sum(axis=-1) / (2 * kurtosis)
-            noise = np.moveaxis(middle[..., 0] ** 2 + mean_of, 0, -1)[..., None] * np.eye(k)
+            noise = (middle[..., 0] ** 2 + mean_of).transpose(1, 2, 0)[..., None] * self._one
         return drift, turned + turned.swapaxes(-1, -2) + noise
 
     def _move(
@@ -384,7 +390,7 @@ class StochasticSystem:
         covariance = np.broadcast_to(np.eye(k), (*misses.shape, k)).copy()
         told = np.isfinite(series.y)
         noise = np.zeros((sets, 1, k)) if errors is None else errors[:, None]
-        one = np.eye(k)
+        one = self._one
         first = np.where(told[:, 0], series.y[:, 0], np.nanmean(series.y, axis=(0, 1)))
         known = np.where(told[:, 0], noise, self.series.scale**2)
         mean = np.broadcast_to(first, (sets, runs, k)).copy()
