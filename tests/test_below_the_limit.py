@@ -178,10 +178,9 @@ def test_clean_and_almost_clean_decays_have_their_rate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 100 draws, half of all rows below the limit."""
-    found = [fit(decay(noise, seed)) for seed in range(100)]
+def test_intervals_hold_the_truth_in_90_to_98_percent():
+    """Over 100 draws, at 1 % and 5 % in turn, half of all rows below the limit."""
+    found = [fit(decay((0.01, 0.05)[seed % 2], seed)) for seed in range(100)]
     inside = [
         abs(own.constants[0] + 0.7) <= interval_reach(own.freedom) * own.errors[0] for own in found
     ]

@@ -77,7 +77,7 @@ def test_two_combinations_give_two_states_that_nobody_measured():
     assert read.x[:, read.index("y")] == pytest.approx(y, abs=1e-12)
 
 
-@pytest.mark.parametrize("noise", [0.0, pytest.param(0.01, marks=pytest.mark.slow), 0.05])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_an_epidemic_is_found_from_those_who_may_fall_ill_and_a_total(noise):
     """S and S + I alone: the law of both, with the rates that were put in."""
     found = discover(epidemic(noise, 2), observed={"total": "S + I"}, jobs=1)
@@ -115,13 +115,14 @@ def test_what_is_fitted_is_the_sum_itself():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 40 draws; errors of a state and of its sum with another are not taken for one."""
+def test_intervals_hold_the_truth_in_90_to_98_percent():
+    """Over 40 draws, at 1 % and 5 % in turn; errors of a state and of its sum with another are not
+    taken for one.
+    """
     truth = np.array([-0.5, 0.5, -0.1])
     inside = []
     for seed in range(40):
-        data = Measurements.of([as_run(noise, seed)], {}, 2000)
+        data = Measurements.of([as_run((0.01, 0.05)[seed % 2], seed)], {}, 2000)
         fit = fit_along(LAW, data)
         order = [float(c) for e in LAW.values() for c in e.atoms(sympy.Float)]
         assert sorted(order) == sorted(truth)

@@ -152,12 +152,11 @@ def test_a_constant_differs_with_a_label_of_the_runs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_intervals_by_run_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 20 draws of three runs, each with two constants of its own."""
+def test_intervals_by_run_hold_the_truth_in_90_to_98_percent():
+    """Over 20 draws of three runs, at 1 % and 5 % in turn, each with two constants of its own."""
     inside: list[bool] = []
     for seed in range(20):
-        found = grown(noise, seed)
+        found = grown((0.01, 0.05)[seed % 2], seed)
         names = {p.of: n for n, p in found.parameters.items()}
         varied = found.vary(list(names.values()))
         for of, scale in (("x", 1.0), ("x**2", 0.5)):
