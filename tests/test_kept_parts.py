@@ -53,7 +53,7 @@ def results_of(found):
 
 
 METHODS = {
-    "genetic": dynsr.GeneticAlgorithm(population=30, iterations=35),
+    "genetic": dynsr.GeneticAlgorithm(population=30, iterations=12),
     "feynman": dynsr.DynAIFeynman.preset("quick"),
     "network": dynsr.DynAIFeynman(
         stages=("polynomial", "symmetry", "separability", "refinement", "snapping"), epochs=20
@@ -73,7 +73,7 @@ def test_a_search_that_is_cut_after_each_part_ends_in_the_same(name, tmp_path, m
     with monkeypatch.context() as patch:
         cut_after_each(patch)
         found, cuts = again_and_again(lambda: dynsr.discover(RUN, **asked, out=tmp_path / "cut"))
-    assert cuts >= {"genetic": 35, "feynman": 4, "network": 3}[name]
+    assert cuts >= {"genetic": 12, "feynman": 4, "network": 3}[name]
     assert results_of(found) == whole == without
     assert not (tmp_path / "cut" / "parts").exists()
     assert not (tmp_path / "whole" / "parts").exists()
@@ -192,8 +192,6 @@ def test_fits_of_whole_systems_are_made_once_however_often_a_run_is_cut(tmp_path
 
     monkeypatch.setattr(Parts, "recall", counted)
     run, asked = noisy_run(), {"jobs": 1, "seed": 2}
-    without = results_of(dynsr.discover(run, **asked))
-    made.clear()
     whole = results_of(dynsr.discover(run, **asked, out=tmp_path / "whole"))
     usual = sorted(made)
     assert {name for name, _ in usual} == {"system", "drift"}
@@ -205,7 +203,7 @@ def test_fits_of_whole_systems_are_made_once_however_often_a_run_is_cut(tmp_path
         )
     assert cuts > 1
     assert sorted(made) == usual
-    assert results_of(found) == whole == without
+    assert results_of(found) == whole
     assert not (tmp_path / "cut" / "parts").exists()
 
 

@@ -163,10 +163,10 @@ def _sd(size: float) -> KnownNoise:
     return KnownNoise(np.full(len(T), size))
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e9])
 @pytest.mark.slow
-def test_a_search_takes_what_is_known(scale):
-    """The law, its intervals and the record; in data of huge numbers too."""
+def test_a_search_takes_what_is_known():
+    """The law, its intervals and the record, in data of huge numbers."""
+    scale = 1e9
     data = {"t": T, "x": scale * decay(UNEVEN, 5), "err": scale * UNEVEN}
     found = discover(data, noise={"x": "err"}, jobs=1)
     (value, error) = found.errors["x"][0]
@@ -186,7 +186,7 @@ def test_errors_are_known_where_something_was_measured():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sd", [0.01 * TRUE, 0.05 * TRUE, UNEVEN], ids=["1 %", "5 %", "uneven"])
+@pytest.mark.parametrize("sd", [0.05 * TRUE, UNEVEN], ids=["5 %", "uneven"])
 def test_intervals_hold_the_truth_where_noise_is_known(sd):
     """95 % intervals from 10 rows of known errors hold the truth in 90 to 98 % of draws."""
     draws, rows, held = 120, slice(None, None, 12), 0
