@@ -699,6 +699,7 @@ def test_options_of_the_page_are_arguments_of_discover():
     assert all(f'"{name}"' in script or f"options.{name}" in script for name in given)
 
 
+@pytest.mark.slow
 def test_units_of_the_page_reach_the_search(tmp_path):
     """Units that are typed are those in which equations must make sense, and coefficients have."""
     pytest.importorskip("pint", reason="the extra units is not installed")
@@ -718,29 +719,41 @@ def test_units_of_the_page_reach_the_search(tmp_path):
     assert "time t (h)" in parts["picture"]["svg"]
 
 
-def search_columns(folder, columns, **options):
-    """Give the parts of the page after a search of columns, and what works behind it."""
+def read_columns(folder, columns):
+    """Give the parts of the page after columns were read, and what works behind it."""
     rows = np.column_stack(list(columns.values())).tolist()
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     (folder / "a.csv").write_text("\n".join(lines))
     parts: dict = {}
     work = Work(folder, parts.__setitem__, 1)
     work.read(str(folder / "a.csv"))
+    return parts, work
+
+
+def search_columns(folder, columns, **options):
+    """Give the same after a search of the columns."""
+    parts, work = read_columns(folder, columns)
     work.search({"preset": "quick", "functions": [], **options})
     return parts, work
 
 
 @pytest.mark.slow
 def test_each_run_has_its_picture(tmp_path):
-    """Of several trajectories the page draws the one that is chosen, from its own start."""
+    """Of several trajectories the page draws the one that is chosen, from its own start.
+
+    Constants that were moved, and the run, are said with the picture, for a page that reloads.
+    """
     t = np.arange(0, 4, 0.1)
     columns = {"run": np.repeat([1, 2], len(t)), "t": np.tile(t, 2)}
     columns["x"] = np.concatenate([np.exp(-t), 5 * np.exp(-t)])
     parts, work = search_columns(tmp_path, columns)
     assert parts["found"]["runs"] == ["1", "2"]
     first = parts["picture"]["svg"]
-    work.redraw({"x": [-1.0]}, 1)
+    assert (parts["picture"]["values"], parts["picture"]["run"]) == ({}, 0)
+    work.redraw({"x": [-0.7]}, 1)
     assert parts["picture"]["svg"] != first and parts["picture"]["said"] == ""
+    assert (parts["picture"]["values"], parts["picture"]["run"]) == ({"x": [-0.7]}, 1)
+    assert parts["picture"]["lines"] == ["x' = -0.7*x"]
     work.redraw({}, 0)
     assert parts["picture"]["svg"] == first
     for name in FILES:
@@ -748,6 +761,7 @@ def test_each_run_has_its_picture(tmp_path):
         assert (tmp_path / name).stat().st_size > 50
 
 
+@pytest.mark.slow
 def test_forced_equations_are_drawn_with_their_input(tmp_path):
     """An input of the data drives the curve that is drawn."""
     t = np.arange(0, 12, 0.05)
@@ -779,8 +793,11 @@ def test_second_order_and_maps_have_pictures_too(tmp_path):
 def test_constants_that_diverge_are_told(tmp_path):
     """Where the moved equations have no solution over the data, the page says when it ends."""
     t = np.arange(0, 4, 0.1)
-    parts, work = search_columns(tmp_path, {"t": t, "x": 1 / (1 + t)})
-    assert parts["found"]["equations"][0]["text"] == "x' = -x**2"
+    parts, work = read_columns(tmp_path, {"t": t, "x": 1 / (1 + t)})
+    work.keep({"x": "-0.999*x**2"}, {"preset": "quick"})
+    assert parts["found"]["equations"][0]["text"] == "x' = -0.999*x**2"
+    work.redraw({}, 0)
+    assert parts["picture"]["said"] == ""
     work.redraw({"x": [1.0]}, 0)
     assert "t = " in parts["picture"]["said"] and "\n" not in parts["picture"]["said"]
 

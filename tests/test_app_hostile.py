@@ -404,23 +404,6 @@ def test_formulas_are_kept_in_their_form(options, text, tmp_path):
     assert dynsr.Discovery.load(tmp_path / "discovery.json").complete is False
 
 
-def test_the_picture_says_what_it_shows(tmp_path):
-    """Constants that were moved, and the run, stand with the picture, for a page that reloads."""
-    t = np.arange(0, 4, 0.1)
-    columns = {"run": np.repeat([1, 2], len(t)), "t": np.tile(t, 2)}
-    columns["x"] = np.concatenate([np.exp(-t), 5 * np.exp(-t)])
-    rows = np.column_stack(list(columns.values())).tolist()
-    (tmp_path / "a.csv").write_text("\n".join(["run,t,x", *(",".join(map(repr, r)) for r in rows)]))
-    parts: dict = {}
-    work = Work(tmp_path, parts.__setitem__, 1)
-    work.read(str(tmp_path / "a.csv"))
-    work.search({"preset": "quick", "functions": []})
-    assert (parts["picture"]["values"], parts["picture"]["run"]) == ({}, 0)
-    work.redraw({"x": [-0.7]}, 1)
-    assert (parts["picture"]["values"], parts["picture"]["run"]) == ({"x": [-0.7]}, 1)
-    assert parts["picture"]["lines"] == ["x' = -0.7*x"]
-
-
 @posix
 @pytest.mark.slow
 def test_no_folder_is_left_where_all_are_killed(tmp_path):
