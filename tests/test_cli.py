@@ -343,6 +343,7 @@ def test_faults_are_told_from_bad_input():
         assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_exit_codes_in_a_real_shell(tmp_path):
     """The process itself ends with 0 and pure JSON, or with 2 and one line."""
     good = spawn("systems", "--json")

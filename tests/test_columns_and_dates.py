@@ -299,6 +299,7 @@ def test_a_score_counts_times_as_the_discovery_does():
     assert found.score(hourly)["x"]["trajectory_rmse"] < 1e-6
 
 
+@pytest.mark.slow
 def test_discover_takes_the_roles_of_columns():
     """time, states, trajectory and inputs mean in Python what they mean in the shell."""
     other = np.sin(T)

@@ -42,6 +42,7 @@ def test_a_constant_state_does_not_change_in_noise(hunted, value):
     assert found.verdict.states["c"].r2 == 1.0
 
 
+@pytest.mark.slow
 def test_a_state_that_is_another_constant_in_each_run_does_not_change(hunted):
     """Values that differ from run to run are no motion."""
     runs = [with_constant(hunted, value) for value in (3.0, 4.0)]

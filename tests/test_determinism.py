@@ -101,7 +101,7 @@ def test_whole_states_raise_no_alarm(name):
         assert not ALARMS & set(kinds(t, x, target, 0.05, multiplicative=place % 2 == 1))
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.004])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.004, marks=pytest.mark.slow)])
 def test_a_state_that_comes_back_while_its_input_rests_looks_second_order(noise):
     """A circuit rings behind a step of the voltage; one without a coil goes one way each time."""
     t = np.arange(0, 40, 0.1)

@@ -527,6 +527,7 @@ def test_a_second_interrupt_ends_at_once():
     assert (child.returncode, errors) == (130, "error: interrupted twice\n")
 
 
+@pytest.mark.slow
 def test_another_discovery_gets_a_folder_of_its_own(tmp_path, monkeypatch):
     """A default folder that holds another discovery is left alone; one asked for is refused."""
     monkeypatch.chdir(tmp_path)

@@ -249,6 +249,7 @@ def test_only_settings_that_differ_are_listed_and_folded(found):
         assert facts["preset"] == "quick"
 
 
+@pytest.mark.slow
 def test_the_command_repeats_what_was_asked(found):
     """Terms, functions, signs and limits of the call are in the command, ready for a shell."""
     record = {
@@ -345,6 +346,7 @@ def test_a_report_offers_the_petab_problem_of_its_data(found):
     assert "found_petab.zip" not in render_discovery(replace(found, trajectories=(many,)))
 
 
+@pytest.mark.slow
 def test_the_fixed_points_are_drawn_along_the_constant_that_changes_them():
     """Of a pitchfork it is the growth whose sign decides; what t drives has none."""
     t = np.linspace(0, 4, 30)
@@ -357,6 +359,7 @@ def test_the_fixed_points_are_drawn_along_the_constant_that_changes_them():
     assert show_branches(driven) is None
 
 
+@pytest.mark.slow
 def test_a_report_does_not_wait_for_an_experiment_that_takes_long(monkeypatch):
     """What takes longer is named as a command of its own."""
     found = noisy_rabbits(0.05)

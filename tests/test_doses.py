@@ -52,6 +52,7 @@ def test_no_slope_reaches_over_a_dose() -> None:
     assert parts[0].names == ("c",)
 
 
+@pytest.mark.slow
 def test_a_simulation_jumps_at_each_dose() -> None:
     """The law with the doses of the data gives the data, from the first row to the last."""
     run = course()

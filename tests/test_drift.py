@@ -142,6 +142,7 @@ def test_a_law_that_is_shorter_than_its_twin_in_the_time_stays_one(slope, law, s
     assert give_verdict(equations(x=law), [integrate(slope, [start], 5, 150)]).level == "law"
 
 
+@pytest.mark.slow
 def test_runs_from_other_starts_tell():
     """With a second run the square root is wrong and t + 1 is told, with one it is a guess."""
     law = equations(x="1.41421356237*sqrt(x - 0.5)")
@@ -234,6 +235,7 @@ def test_a_rate_that_grows_with_the_time_in_every_run_is_named():
     assert "its constants change along the record: x's coefficient from -0." in found.reason
 
 
+@pytest.mark.slow
 def test_a_decay_that_hangs_on_the_time_is_told_beside_a_strange_function():
     """x' = -t x, with 1 % noise, is shorter than a function of x that follows one run as well."""
     data = integrate(lambda t, x: -t * x, [1.0], 3, 200, 0.01)

@@ -189,6 +189,7 @@ def test_an_engine_of_ones_own_is_used():
     assert len(engine.regressed) > before
 
 
+@pytest.mark.slow
 def test_a_method_keeps_the_engine_that_it_was_given():
     """SINDy with an engine of its own regresses there; the record names both engines."""
     own, asked = RecordingEngine("own"), RecordingEngine("asked")
@@ -208,6 +209,7 @@ class Tied(RecordingEngine):
         self.hold = lambda: None
 
 
+@pytest.mark.slow
 def test_an_engine_that_cannot_be_copied_stays_in_its_process():
     """It works with one job; with more one line says why not, before any work."""
     engine = Tied()
@@ -253,6 +255,7 @@ def no_julia_after(monkeypatch):
     return take_away
 
 
+@pytest.mark.slow
 def test_measured_inputs_are_integrated_where_the_record_says(julia):
     """By the embedded engine unless another one is asked for, which the origin then names."""
     force = np.sin(2 * T)

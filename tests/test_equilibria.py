@@ -169,6 +169,7 @@ def test_a_report_says_where_the_equations_go(tmp_path):
     assert "Fixed points" not in driven.report(tmp_path / "driven.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_report_searches_fixed_points_once(tmp_path, monkeypatch):
     """The table, the flow and the question whether there are any share one search."""
     searched = []
