@@ -295,8 +295,9 @@ def coupled(name):
     return laws, run(rhs, start, end, 250, tuple(laws), 1e-12, every_row=True), told
 
 
+# What two others take is found in a discovery below.
 @pytest.mark.slow
-@pytest.mark.parametrize("name", COUPLED)
+@pytest.mark.parametrize("name", [name for name in COUPLED if name != "what two others take"])
 def test_exact_slopes_are_looked_at_again_beside_other_equations(name):
     """Terms of several columns are found, and those that other equations have too."""
     laws, data, told = coupled(name)

@@ -27,13 +27,12 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.slow
-def test_what_is_one_is_printed_as_one(name, seed):
+def test_what_is_one_is_printed_as_one(name):
     """At 1 %, a constant is the same number in every place where the law has it, and within 1 %."""
     texts, start = SYSTEMS[name]
-    data = measured(tuple(texts.items()), start, 6.0, 200, 0.01, seed)
+    data = measured(tuple(texts.items()), start, 6.0, 200, 0.01, 1)
     found = polish(floats(texts), [], {}, {}, {}, FIT, data).exprs
     printed = [abs(float(v)) for e in found.values() for v in sympy.expand(e).atoms(sympy.Number)]
     for expr in floats(texts).values():
