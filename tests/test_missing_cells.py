@@ -199,10 +199,9 @@ def test_the_law_of_clean_data_with_empty_cells_is_found_exactly():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_the_law_of_noisy_data_with_empty_cells_is_found(noise):
-    """15 % of all cells are empty at random, with noise of 1 % and 5 % of the spread."""
-    found = discover(cycle(noise), jobs=1)
+def test_the_law_of_noisy_data_with_empty_cells_is_found():
+    """15 % of all cells are empty at random, with noise of 5 % of the spread."""
+    found = discover(cycle(0.05), jobs=1)
     assert found.verdict.level == "law"
     for state, law in LAW.items():
         values = law.as_coefficients_dict()
@@ -212,7 +211,7 @@ def test_the_law_of_noisy_data_with_empty_cells_is_found(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_one_state_each_row_and_another_each_tenth(noise):
     """The law is found though the predator was counted at 21 of 201 times only."""
     found = discover(cycle(noise, share=0.0, every=10), jobs=1)
@@ -223,12 +222,14 @@ def test_one_state_each_row_and_another_each_tenth(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
 @pytest.mark.parametrize(("share", "every"), [(0.15, 1), (0.0, 5)])
-def test_intervals_hold_the_truth_over_draws(share, every, noise):
-    """95 % intervals of the constants hold the truth in 90 to 98 % of draws with empty cells."""
+def test_intervals_hold_the_truth_over_draws(share, every):
+    """95 % intervals of the constants hold the truth in 90 to 98 % of draws with empty cells, at
+    1 % and 5 % of noise in turn.
+    """
     draws, held = 30, 0
     for seed in range(draws):
+        noise = (0.01, 0.05)[seed % 2]
         runs = carry([cycle(noise, seed, share, every)])
         fit = fit_along(LAW, Measurements.of(runs, {}, 2000))
         held += int(np.sum(np.abs(fit.constants - CONSTANTS) <= 1.96 * fit.errors))

@@ -299,11 +299,13 @@ def test_a_picture_shows_the_profile_and_its_parabola():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_intervals_of_profiles_hold_the_truth_as_often_as_they_say(noise):
-    """Over 20 draws of each system 95 % intervals hold the truth in 90 to 98.5 %."""
+def test_intervals_of_profiles_hold_the_truth_as_often_as_they_say():
+    """Over 20 draws of each system, at 1 % and 5 % in turn, 95 % intervals hold the truth in 90 to
+    98.5 %.
+    """
     kept = []
     for seed in range(20):
+        noise = (0.01, 0.05)[seed % 2]
         for found, truth in (
             (enzyme(noise, seed), (SPEED, HALF)),
             (noisy_rabbits(noise, seed), (-1.0, 1.5, 1.0, -3.0)),
