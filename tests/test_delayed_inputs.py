@@ -169,9 +169,9 @@ def test_constants_that_come_to_one_value_leave_the_error_of_the_delay():
     assert own.error < 1e-4
 
 
-@pytest.mark.parametrize("held", [False, True])
-@pytest.mark.parametrize("system", [PIPE, HEATER])
-@pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.parametrize(
+    ("system", "held", "noise"), [(PIPE, False, 0.05), (HEATER, True, 0.01), (HEATER, True, 0.05)]
+)
 @pytest.mark.slow
 def test_the_delay_of_an_input_is_fitted_in_noise(system, held, noise):
     """It is within three of its standard errors, and these are a share of a row."""
@@ -191,11 +191,11 @@ def test_runs_that_share_a_delay_are_fitted_together():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_intervals_hold_the_truth_in_90_to_98_percent(noise):
-    """Over 20 draws, of the delay and of both constants."""
+def test_intervals_hold_the_truth_in_90_to_98_percent():
+    """Over 20 draws, at 1 % and 5 % in turn, of the delay and of both constants."""
     inside = []
     for seed in range(20):
+        noise = (0.01, 0.05)[seed % 2]
         delayed = Delayed.of([PIPE.run(True, noise, seed)], DelaySettings())
         fit = delayed.fit({"y": PIPE.equation}, 1.75, ComparisonSettings())
         values = np.append(np.abs(fit.fit.theta[:2]), fit.delay)
@@ -300,16 +300,20 @@ def test_an_input_that_acts_at_once_takes_fewer_bits_without_a_delay():
     assert skeleton(best.equations["y"]) == skeleton(1.25 * U - 1.25 * Y)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("held", "noise"), [(False, 0.01), (True, 0.05)])
-def test_a_pipe_is_found(held, noise):
+def check_pipe(found, noise):
     """The true terms and no others, a delay whose interval contains the truth, and a law."""
-    found = discover(PIPE.run(held, noise), delays=1.6, jobs=1, preset="quick")
     assert found.verdict.level == "law"
     assert skeleton(found.equations["y"]) == skeleton(1.25 * BEFORE - 1.25 * Y)
     own = found.delays["u_delayed"]
     assert own.state == "u" and own.low < 1.7 < own.high
     assert own.error < max(0.2 * noise, 1e-4)
+
+
+@pytest.mark.slow
+def test_a_pipe_is_found():
+    """The law of a smooth input and its delay, in 1 % noise."""
+    found = discover(PIPE.run(False, 0.01), delays=1.6, jobs=1, preset="quick")
+    check_pipe(found, 0.01)
 
 
 @pytest.mark.slow
@@ -323,8 +327,11 @@ def test_no_delay_is_found_where_there_is_none():
 
 @pytest.mark.slow
 def test_the_shell_takes_and_shows_the_delay_of_an_input(tmp_path):
-    """`--inputs u --delays 1.6` finds about 1.7, without a word on steps between rows."""
-    run, table = PIPE.run(True, 0.01), tmp_path / "pipe.csv"
+    """`--inputs u --delays 1.6` finds the law and about 1.7, of a held input in 5 % noise.
+
+    Nothing is said of steps between rows.
+    """
+    run, table = PIPE.run(True, 0.05), tmp_path / "pipe.csv"
     columns = np.column_stack([run.t, run.x, run.inputs])
     np.savetxt(table, columns, header="t,y,u", delimiter=",", comments="")
     asked = (
@@ -343,3 +350,4 @@ def test_the_shell_takes_and_shows_the_delay_of_an_input(tmp_path):
     low, high = re.search(r"u\(t - [\d.]+\), the delay is ([\d.]+) to ([\d.]+)\.", said).groups()
     assert float(low) < 1.7 < float(high)
     assert "steps between rows" not in said
+    check_pipe(load(tmp_path / "out"), 0.05)
