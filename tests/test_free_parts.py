@@ -324,9 +324,9 @@ def test_the_slopes_by_constants_and_curves_are_those_of_differences():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_function_that_two_equations_share_is_found(noise):
-    """Holling's response at no, 1 % and 5 % noise; the intervals contain the true constants."""
+    """Holling's response without noise and at 5 %; the intervals contain the true constants."""
     found = found_in_hunt(noise)
     assert found.verdict.level == "law"
     law = found.free["f"].law
@@ -343,9 +343,9 @@ def test_a_function_that_two_equations_share_is_found(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_characteristic_in_a_driven_circuit_is_found(noise):
-    """A cubic at no, 1 % and 5 % noise."""
+    """A cubic without noise and at 5 %."""
     found = discover(circuit(noise), known=CIRCUIT, jobs=1)
     assert found.verdict.level == "law"
     law = sympy.expand(found.free["i"].law)
@@ -356,7 +356,7 @@ def test_a_characteristic_in_a_driven_circuit_is_found(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "near"), [(0.0, 1e-6), (0.01, 0.15), (0.05, 0.3)])
+@pytest.mark.parametrize(("noise", "near"), [(0.0, 1e-6), (0.05, 0.3)])
 def test_friction_is_found_or_stays_a_curve(noise, near):
     """Clean data give tanh; under noise a formula or a curve near it, and no wrong law."""
     found = discover(swing(noise), known={"x": "v", "v": "-k*x - f(v)"}, jobs=1)
@@ -389,12 +389,19 @@ def test_what_no_formula_describes_stays_a_curve():
     assert len(part.points) > 100
 
 
+@pytest.fixture
+def untested(monkeypatch):
+    """Leave out the verdict, which takes most of the time and comes after the bands."""
+    monkeypatch.setattr("dynsr.discovery.free._tested", lambda found, *_: found)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("untested")
 def test_a_band_contains_the_truth_as_often_as_it_says():
-    """Over ten draws of 5 % noise, from 90 % to 98 % of evenly spaced points are inside."""
+    """Over six draws of 5 % noise, from 90 % to 98 % of evenly spaced points are inside."""
     settings = DiscoverySettings(free=FreeSettings(fitted=0))
     shares = []
-    for seed in range(10):
+    for seed in range(6):
         known = {"known": TANK, "settings": settings, "preset": "quick"}
         found = discover(tank(0.05, seed), jobs=1, **known)
         part = found.free["f"]
@@ -405,6 +412,7 @@ def test_a_band_contains_the_truth_as_often_as_it_says():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("untested")
 def test_a_band_counts_that_the_cost_of_bending_is_an_estimate():
     """Curves drawn from what is believed of them, 5 % noise: 90 % to 98 % of points are inside.
 
@@ -521,11 +529,11 @@ def test_the_report_and_the_pictures_show_the_function(tmp_path):
 @pytest.mark.slow
 def test_a_state_without_an_equation_is_searched_and_fitted_too():
     """Prey alone is given; its constants are those of the fit in which both equations are."""
-    found = discover(hunt(0.01), known={"x": HUNT["x"]}, jobs=1)
+    found = discover(hunt(0.05), known={"x": HUNT["x"]}, jobs=1)
     assert found.verdict.level == "law"
     assert list(found.equations) == ["x", "y"]
     assert found.free.states == ("x",)
-    both = found_in_hunt(0.01).free.constants
+    both = found_in_hunt(0.05).free.constants
     for name, own in found.free.constants.items():
         middle = (own.low + own.high) / 2
         assert middle == pytest.approx((both[name].low + both[name].high) / 2, abs=own.error)
@@ -534,8 +542,7 @@ def test_a_state_without_an_equation_is_searched_and_fitted_too():
 @pytest.mark.slow
 def test_a_search_starts_from_a_formula_that_was_found_and_from_no_curve():
     """A formula is in the equations; a curve is refused in one line."""
-    seen = hunt(0.01)
-    again = discover(seen, start=found_in_hunt(0.01), jobs=1)
+    again = discover(hunt(0.05), start=found_in_hunt(0.05), jobs=1)
     assert again.verdict.level == "law"
     assert again.settings["methods"] == ["start"]
     with pytest.raises(InputError, match=r"a search starts from formulas, and f\(x\) is a curve"):
@@ -562,7 +569,7 @@ def test_knots_are_apart_where_most_of_the_data_are_in_one_place():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "size"), [(0.02, 1.0), (0.0, 1.0), (0.0, 1e6), (0.0, 1e-6)])
+@pytest.mark.parametrize(("noise", "size"), [(0.02, 1.0), (0.0, 1e-6)])
 def test_a_growth_rate_is_found_in_one_batch(noise, size):
     """Monod's rate and the yield from biomass and substrate, in any unit, until all is eaten."""
 
