@@ -8,6 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+import sympy
 
 import dynsr
 from dynsr.discovery import hidden, problem, search, stages, tasks
@@ -85,7 +86,9 @@ def test_an_answer_in_no_time_has_an_end_itself(monkeypatch):
     monkeypatch.setattr(tasks, "fit_polynomials", lambda own, degree: few[degree](own, degree))
     monkeypatch.setattr(tasks, "look", endless)
     found = dynsr.discover(EXACT, jobs=1, time_budget=0.2)
-    assert str(found.equations["x"].subs("x", 1.2).evalf(5)) == "-0.70000"
+    # How exact its constants are depends on the time that is left for them.
+    assert sympy.Poly(found.equations["x"], sympy.Symbol("x")).degree() == 1
+    assert float(found.equations["x"].subs("x", 1.2)) == pytest.approx(-0.7, rel=0.01)
 
 
 def test_a_hidden_state_that_is_not_found_in_time_leaves_the_equations_without_it(monkeypatch):

@@ -106,7 +106,7 @@ def search_hidden(runs: Sequence[Trajectory], options: Options, name: str) -> Di
 
     def look() -> None:
         # With defects of any size a hidden state would follow whatever the others leave.
-        fit = replace(selection.comparison.fit, loose=None)
+        fit = replace(selection.comparison.fit, loose=0.0)
         how = replace(selection.comparison, fit=fit)
         leading: dict[str, SystemFit | None] = {}
         data = _as_noisy(runs, inputs, how)

@@ -634,7 +634,7 @@ class Collocation:
         near, strict : as for a fit.
         """
         begun = np.ascontiguousarray((self.mesh.start if near is None else near.states).T)
-        if self.settings.loose is None:
+        if not self.settings.loose:
             return self._in_stages(begun, strict)
         return self._by_evidence(begun, (near.weight or 0.0) if strict and near else 0.0)
 
@@ -865,7 +865,7 @@ class Collocation:
 
     def _price_of(self, weight: float, determined: float) -> float:
         """Twice the logarithm of what a weight below the last costs, as one constant more."""
-        if self.settings.loose is None or weight >= self.settings.stiffness[-1]:
+        if not self.settings.loose or weight >= self.settings.stiffness[-1]:
             return 0.0
         far = math.log(self.settings.stiffness[-1] / weight)
         return 2 * math.log(2) * self.settings.loose + math.log1p(far**2 * determined / 2)

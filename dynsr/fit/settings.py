@@ -20,14 +20,14 @@ class CollocationSettings:
     early : the same for the stages before the last, which lead to its start.
     difference : step of the numerical derivatives, relative to a state's spread and a constant.
     loose : bits that a smaller weight than the last costs, apart from how well it is known. It is
-        taken where the evidence is greater by more; None where all have the last.
+        taken where the evidence is greater by more; 0 where all have the last.
     """
 
     stiffness: tuple[float, ...] = (1e1, 1e3, 1e5)
     steps: int = 12
     gain: float = 1e-4
     difference: float = 1e-7
-    loose: float | None = None
+    loose: float = 0.0
     early: float = 1e-4
 
 

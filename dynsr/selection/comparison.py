@@ -160,7 +160,7 @@ class SystemFit:
         last = self.problem.settings.stiffness[-1]
         if self.fit.weight is None or self.fit.weight == last:
             return self.fit
-        held = replace(self.problem.settings, loose=None)
+        held = replace(self.problem.settings, loose=0.0)
         return replace(self.problem, settings=held, weight=None).fit(self.fit, True) or self.fit
 
     @property

@@ -226,7 +226,7 @@ class HiddenComparison(SystemComparison):
     def _how(self) -> CollocationSettings:
         # The first curve of a hidden state is rough: it takes all steps of each stage. With defects
         # of any size it would follow whatever the others leave.
-        return replace(self.settings.fit, early=self.settings.fit.gain, loose=None)
+        return replace(self.settings.fit, early=self.settings.fit.gain, loose=0.0)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system is not one of these."""
