@@ -476,6 +476,26 @@ def test_repeated_times_are_averaged_and_their_spread_is_kept(counts):
     assert any("replicates of one moment" in note for note in table.notes)
 
 
+@pytest.mark.parametrize(("step", "write"), [(0.25, np.floor), (0.3, np.floor), (0.2, np.round)])
+def test_rows_of_a_coarse_clock_are_no_replicates(step, write):
+    """Rows that whole seconds write together have the times at which they were taken."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 60, step)
+    x = np.column_stack([np.sin(0.7 * t), np.cos(0.7 * t)]) + rng.normal(0, 0.02, (len(t), 2))
+    table = read_trajectories({"time": write(t), "x": x[:, 0], "y": x[:, 1]})
+    (run,) = table.trajectories
+    assert np.array_equal(run.x, x) and np.allclose(run.t, t, atol=0.5 * step)
+    assert any("its clock is a coarse one" in note for note in table.notes)
+
+
+def test_rows_of_one_time_are_of_no_coarse_clock_where_each_has_its_own_distance():
+    """Two cups that cool, one 3 degrees above the other, are no later and later rows of one."""
+    rng = np.random.default_rng(0)
+    both = np.column_stack([DECAY + 3, DECAY]).ravel() + rng.normal(0, 0.5, 2 * N)
+    table = read_trajectories({"time": np.repeat(T, 2), "x": both})
+    assert {len(run) for run in table.trajectories} == {N}
+
+
 def test_runs_that_alternate_are_not_averaged():
     """Rows of one time that go on as runs of their own are runs, in their order; it is said."""
     both = np.column_stack([DECAY, RISE + 60]).ravel()

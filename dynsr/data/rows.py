@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dynsr.data.grouping import Grouping, is_rough
+from dynsr.data.ticks import RARE, spread_ticks
 from dynsr.errors import InputError
 
 # Times written with few digits differ in their last one.
@@ -62,11 +63,14 @@ def order_rows(
     time, label : what a message calls the times and the source.
     summed : columns whose rows of one time are added up, as amounts are.
 
-    Rows of the same time are averaged. Raises InputError where a single time is wrong, and where
+    Rows of the same time are averaged, unless the clock is a coarse one, which is
+    :func:`dynsr.data.ticks.spread_ticks`. Raises InputError where a single time is wrong, and where
     rows out of order may be those of several trajectories.
     """
     runs, notes = [], []
     moved = repeated = 0
+    t, said = _without_ticks(grouping, t, [values[name] for name in states], time)
+    notes += said
     for name, rows in grouping.rows():
         what = f"time {time!r}" + (f" of trajectory {name}" if len(grouping.names) > 1 else "")
         steps = np.diff(t[rows])
@@ -90,6 +94,28 @@ def order_rows(
         if not any(pooled_noise(runs, states).values()):
             runs = [replace(run, spreads={}) for run in runs]
     return runs, notes
+
+
+def _without_ticks(
+    grouping: Grouping, t: np.ndarray, moving: Sequence[np.ndarray], time: str
+) -> tuple[np.ndarray, list[str]]:
+    """Give rows between which a coarse clock does not move on the times that they have."""
+    found, steps = t.copy(), []
+    for _, rows in grouping.rows():
+        if not np.any(np.diff(t[rows]) == 0):
+            continue
+        own = spread_ticks(t[rows], [values[rows] for values in moving])
+        if own is None:  # what one trajectory repeats are replicates in all
+            return t, []
+        found[rows] = own
+        steps.append(float(own[1] - own[0]))
+    if not steps:
+        return t, []
+    note = (
+        f"Rows of one time of {time!r} go on from each other, so its clock is a coarse one: they "
+        f"were taken for even ones, every {steps[0]:.4g}."
+    )
+    return found, [note]
 
 
 def _check_single(t: np.ndarray, rows: np.ndarray, what: str, label: str) -> None:
@@ -234,5 +260,4 @@ def _is_ordered(grouping: Grouping, t: np.ndarray, values: np.ndarray) -> bool:
         signs.append(np.sign(np.diff(values[own])[again]))
     every = np.concatenate(signs)
     every = every[np.isfinite(every) & (every != 0)]
-    # As often as a fair coin shows it once in a hundred times.
-    return bool(len(every) and abs(np.sum(every)) > 2.6 * np.sqrt(len(every)))
+    return bool(len(every) and abs(np.sum(every)) > RARE * np.sqrt(len(every)))
