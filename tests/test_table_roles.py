@@ -863,10 +863,46 @@ def test_an_angle_that_goes_round_goes_on(turn, low):
     for source in ({"t": t, "phi": wrapped, "y": t**2}, (t, np.column_stack([wrapped, t**2]))):
         with pytest.warns(dynsr.errors.DynsrWarning, match="as an angle does") as said:
             (run,), _ = dynsr.data.take_trajectories(source)
-        assert ("more surely in radians" in str(said[-1].message)) == (turn == 360)
+        assert ("is searched in radians" in str(said[-1].message)) == (turn == 360)
         offset = run.x[0, 0] - angle[0]
         there = run.measured[:, 0]
         assert there.sum() == 99 and np.allclose(run.x[there, 0], angle[there] + offset)
+
+
+@pytest.mark.parametrize(
+    ("unit", "turn", "digits"),
+    [("gon", 400, 3), ("rev", 1, 4), ("", 256, 0), ("", 4096, 0), ("ticks", 65536, 0)],
+)
+@pytest.mark.parametrize("low", [0, -0.5])
+def test_turns_of_other_units_and_counters_that_overflow_go_on(unit, turn, digits, low):
+    """A unit says its turn; whole numbers begin again after so many bits. Without these none is."""
+    t = np.linspace(0, 10, 201)
+    x = np.round(turn * (0.3 + 0.02 * t * (16 - t)), digits)
+    wrapped = (x - low * turn) % turn + low * turn
+    with pytest.warns(DynsrWarning, match="read as one that goes on"):
+        run = one({"t": t, f"phi [{unit}]" if unit else "phi": wrapped, "y": t**2})
+    assert np.allclose(run.x[:, 0], x - x[0] + wrapped[0])
+    other = one({"t": t, "phi": 1.01 * wrapped + 0.001, "y": t**2})
+    assert np.array_equal(other.x[:, 0], 1.01 * wrapped + 0.001)
+
+
+def test_an_angle_that_rests_where_it_begins_again_goes_on():
+    """Noise takes a compass at rest in the north over its end again and again."""
+    t, rng = np.linspace(0, 20, 201), np.random.default_rng(0)
+    angle = 200 * np.exp(-0.5 * t) * np.cos(2 * t) + rng.normal(0, 1, len(t))
+    with pytest.warns(DynsrWarning, match="jumps by a full turn of 360 in"):
+        run = one({"t": t, "phi [deg]": angle % 360, "y": t**2})
+    assert np.allclose(run.x[:, 0] - run.x[0, 0], angle - angle[0])
+
+
+def test_an_angle_that_goes_too_far_between_rows_is_named():
+    """At 200 degrees a row no one knows the direction; without a unit they are any numbers."""
+    t = np.arange(40.0)
+    with pytest.warns(DynsrWarning, match="more than a quarter of a turn"):
+        one({"t": t, "phi [deg]": 200 * t % 360, "y": t**2})
+    with warnings.catch_warnings(record=True) as said:
+        one({"t": t, "phi": 200 * t % 360, "y": t**2})
+    assert not any("turn" in str(one_.message) for one_ in said)
 
 
 def test_what_jumps_and_is_no_angle_stays():

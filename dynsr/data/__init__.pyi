@@ -1,3 +1,4 @@
+from .angles import is_in_degrees
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
 from .codes import Missing
@@ -132,6 +133,7 @@ __all__ = [
     "find_unseen_steps",
     "in_formulas",
     "in_unit",
+    "is_in_degrees",
     "is_own_page",
     "is_part",
     "is_still",

@@ -1,24 +1,62 @@
-"""Angles: columns that go round, from 359 to 0 or from 180 to -180, go on instead."""
+"""Angles: columns that go round, from 359 to 0 or from 180 to -180, go on instead.
+
+So do counters of so many bits, which begin again at 0.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dynsr.data.trajectory import Trajectory
 
-# A full turn in degrees and in radians.
-_TURNS = (360.0, 2 * np.pi)
-_IN_RADIANS = (
-    " It is in degrees; sin() and cos() of it are found more surely in radians: times pi/180."
+# What needs no unit.
+_ANY = ""
+# A turn in a unit that says it, and in degrees and radians, which need none.
+_TURNS = (
+    (360.0, _ANY),
+    (2 * math.pi, _ANY),
+    (400.0, r"gon|grad(ian)?s?"),
+    (1.0, r"rev(olution)?s?|turns?|cycles?|umdrehung(en)?|tours?"),
 )
+# A counter begins again after so many bits.
+_BITS = (8, 10, 12, 13, 14, 16, 24, 32)
+_DEGREES = re.compile(
+    r"(\u00b0|\u00ba|deg(rees?)?)"
+    r"(\s*[/*\u00b7 ]\s*(s(ec)?|min|h)[^\w\s]?[\d\u2212\u207b\u00b9\u00b2-]*)*",
+    re.IGNORECASE,
+)
+_SAY = " Called such as phi [deg], and its rate such as w [deg/s], it is searched in radians."
 # A turn seen in a column may be short of a full one by this share: by the rows next to it.
 _SHORT = 0.5
-# The step over the turn is like those next to it: at most this many times as large. No step is
-# more than this share of a turn, so that it is clear which way each goes.
-_ALIKE, _STEP = 3.0, 0.25
+# The step over the turn is like those of so many rows before and behind it: at most this many times
+# as large. No step is more than this share of a turn, so that it is clear which way each goes.
+_NEAR, _ALIKE, _STEP = 3, 3.0, 0.25
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """What a column begins again after, and how that is called.
+
+    Parameters
+    ----------
+    size : of the turn.
+    bits : those of a counter; 0 for an angle.
+    """
+
+    size: float
+    bits: int = 0
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """What a column jumps by, and as what it does."""
+        if self.bits:
+            return f"{self.size:.0f}", f"a counter of {self.bits} bits"
+        return f"a full turn of {self.size:.4g}", "an angle"
 
 
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
@@ -29,7 +67,8 @@ def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[st
     Parameters
     ----------
     runs : trajectories of the same columns. A state is such an angle where all values lie within
-        one turn, of 360 or 2 pi, and it jumps by nearly a turn where it moves on as before.
+        one turn, and it jumps by nearly a turn where it moves on as before. A turn is 360 or 2 pi,
+        400 gon and 1 revolution where the unit says it, and a power of two for whole numbers.
 
     >>> angle = np.arange(0.0, 800.0, 25.0) % 360
     >>> (run,), said = unwrap_angles([Trajectory(np.arange(32.0), angle[:, None], ("phi",))])
@@ -38,58 +77,89 @@ def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[st
     """
     notes: list[str] = []
     found = list(runs)
+    units = runs[0].origin.get("units") or {}
     for place, state in enumerate(runs[0].states):
         pieces = [run.observed[:, place] for run in runs]
-        turn = next((turn for turn in _TURNS if _lie_within(pieces, turn)), None)
-        if turn is None:
+        unit = units.get(state, "")
+        tried = [
+            (turn, [_go_on(own, turn.size) for own in pieces]) for turn in _turns(pieces, unit)
+        ]
+        if not tried:
             continue
-        made = [_go_on(own, turn) for own in pieces]
+        seen = [one for one in tried if all(jumps >= 0 for _, jumps in one[1])]
+        if not seen and is_in_degrees(unit):
+            notes.append(
+                f"{state} goes by more than a quarter of a turn between rows, so that no one can "
+                "say which way: measure more often, or give its sine and its cosine."
+            )
+        turn, made = next(iter(seen), tried[0])
         count = sum(jumps for _, jumps in made)
-        if not count or any(jumps < 0 for _, jumps in made):
+        if not seen or not count:
             continue
         for number, (values, _) in enumerate(made):
             x = found[number].observed.copy()
             x[:, place] = values
             found[number] = replace(found[number], x=x)
+        by, what = turn.words
         notes.append(
-            f"{state} jumps by a full turn of {turn:.4g} in {count} "
-            f"{'place' if count == 1 else 'places'}, as an angle does: it was read as one that "
-            f"goes on beyond it.{_IN_RADIANS if turn == _TURNS[0] else ''}"
+            f"{state} jumps by {by} in {count} {'place' if count == 1 else 'places'}, as {what} "
+            f"does: it was read as one that goes on beyond it."
+            f"{_SAY if turn.size == _TURNS[0][0] and not unit else ''}"
         )
     return found, notes
 
 
-def _lie_within(pieces: Sequence[np.ndarray], turn: float) -> bool:
-    """Whether all values lie within one turn, from 0 or around 0."""
+def is_in_degrees(unit: str) -> bool:
+    """Whether a unit is degrees of an angle, or those of its slopes.
+
+    >>> [is_in_degrees(unit) for unit in ("deg", "\u00b0/s", "deg s^-2", "\u00b0C", "rad", "")]
+    [True, True, True, False, False, False]
+    """
+    return _DEGREES.fullmatch(unit.strip()) is not None
+
+
+def _turns(pieces: Sequence[np.ndarray], unit: str) -> Iterator[_Turn]:
+    """Give the turns within which all values lie, from 0 or around 0, the most probable first."""
     there = np.concatenate([own[np.isfinite(own)] for own in pieces])
-    # Whole numbers from 0 to 6 are days of a week, or count.
-    if not there.size or (turn == _TURNS[1] and np.all(there % 1 == 0)):
-        return False
-    slack = 1e-6 * turn
+    if not there.size:
+        return
+    whole = bool(np.all(there % 1 == 0))
     low, high = float(there.min()), float(there.max())
-    ends = ((0.0, turn), (-turn / 2, turn / 2))
-    return high - low > _SHORT * turn and any(
-        begin - slack <= low and high <= end + slack for begin, end in ends
-    )
+    known = [_Turn(size) for size, own in _TURNS if _says(own, unit, size, whole)]
+    counters = [_Turn(2.0**bits, bits) for bits in _BITS] if whole else []
+    for turn in (*known, *counters):
+        slack = 1e-6 * turn.size
+        ends = ((0.0, turn.size), (-turn.size / 2, turn.size / 2))
+        if high - low > _SHORT * turn.size and any(
+            begin - slack <= low and high <= end + slack for begin, end in ends
+        ):
+            yield turn
+
+
+def _says(form: str, unit: str, size: float, whole: bool) -> bool:
+    """Whether a column may be an angle of such a turn."""
+    if form != _ANY:
+        return re.fullmatch(form, unit, re.IGNORECASE) is not None
+    # Whole numbers from 0 to 6 are days of a week, or count.
+    return not whole or size > 2 * math.pi
 
 
 def _go_on(values: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
     """Give values that go on over the turns, and how many of these there are; -1 for other jumps.
 
-    A jump is a turn where the step without it is like the one before it, or behind it, and small.
+    A jump is a turn where the step without it is small, and like those of the rows around it.
     """
     there = np.flatnonzero(np.isfinite(values))
     if len(there) < 3:
         return values, 0
     plain = np.diff(values[there])
-    steps = np.diff(np.unwrap(values[there], period=turn))
+    steps = np.abs(np.diff(np.unwrap(values[there], period=turn)))
     jumps = np.flatnonzero(np.abs(plain) > turn / 2)
-    if jumps.size and np.abs(steps).max() > _STEP * turn:
+    if jumps.size and steps.max() > _STEP * turn:
         return values, -1
     for at in jumps:
-        near = steps[[k for k in (at - 1, at + 1) if 0 <= k < len(steps)]]
-        same = np.any((near * steps[at] > 0) & (np.abs(steps[at]) <= _ALIKE * np.abs(near)))
-        if not same:
+        near = np.delete(steps, at)[max(at - _NEAR, 0) : at + _NEAR]
+        if steps[at] > _ALIKE * near.max():
             return values, -1
     found = values.copy()
     found[there] = np.unwrap(values[there], period=turn)
