@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import sympy
+from scipy.integrate import solve_ivp
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
@@ -150,3 +151,28 @@ def test_sizes_beyond_float64_are_refused_in_one_line(t, size, name):
     with pytest.raises(InputError, match=f"{name} is of the size of .*give it in a unit") as caught:
         discover((t * T, size * np.exp(-T / 2)[:, None]), **QUICK)
     assert "\n" not in str(caught.value)
+
+
+def test_a_swing_of_huge_numbers_has_its_law_of_second_order():
+    """Its velocity, which no column has, is in the units of the data too."""
+    found = discover((T, 1e9 * np.cos(T)[:, None]), **QUICK)
+    assert str(found).endswith("x'' = -x")
+    run = found.trajectories[0]
+    assert run.states == ("x", "x_dot")
+    assert np.allclose(run.x, 1e9 * np.column_stack([np.cos(run.t), -np.sin(run.t)]), atol=1e7)
+    assert found.simulate().x[-1, 0] == pytest.approx(1e9 * np.cos(run.t[-1]), rel=1e-6)
+
+
+def test_a_rotor_in_degrees_is_searched_in_radians():
+    """Over ten turns, in noise: its sine is found, and constants are of the degrees of the data."""
+    t = np.linspace(0, 6, 300)
+    law = lambda _, s: [s[1], -20 * np.sin(s[0]) - 0.3 * s[1]]  # noqa: E731
+    path = np.degrees(solve_ivp(law, (0, 6), [0.5, 14.0], t_eval=t, rtol=1e-9).y)
+    noisy = path + np.array([[0.2], [2.0]]) * np.random.default_rng(0).normal(size=path.shape)
+    data = {"t [s]": t, "phi [deg]": noisy[0], "w [deg/s]": noisy[1]}
+    found = discover(data, preset="quick", jobs=1)
+    assert found.verdict.level == "law"
+    assert str(found.equations["phi"]) == "w"
+    gap = found.equations["w"] - parse("-1145.916*sin(0.01745329*phi) - 0.3*w")
+    for phi in (10.0, 200.0, 3000.0):
+        assert abs(value_at(gap, phi=phi, w=700.0)) < 0.02 * 1145

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import Trajectory, carry, is_in_degrees
 from dynsr.discovery.every_row import are_apart
 from dynsr.discovery.hidden import search_hidden
 from dynsr.discovery.options import Options, Search
+from dynsr.discovery.orders import form_of
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
 from dynsr.discovery.unmeasured import coupling_of
@@ -26,6 +27,8 @@ from dynsr.verdict import OtherFormula, Verdict
 
 # Columns and spans of sizes up to this one, and down to one over it, are searched as they are.
 _USUAL = 1e6
+# Degrees in a radian.
+_RADIAN = sympy.Rational(math.degrees(1.0))
 # Beyond these products of a few numbers and slopes leave float64.
 _LARGEST = 1e50
 # Share by which constants of one value are set apart.
@@ -37,6 +40,8 @@ _LONG = 1e12
 @dataclass(frozen=True)
 class Units:
     """Powers of ten in which times and columns are counted; 1 where their size is usual.
+
+    What is in degrees is counted in radians, in which sines and their slopes are of one size.
 
     Parameters
     ----------
@@ -67,7 +72,9 @@ class Units:
         for name, size in sizes.items():
             _check(f"column {name!r}", size)
             _check(f"the slope of {name!r}", size / span)
-        return cls(_unit(span), {name: _unit(size) for name, size in sizes.items()})
+        said = runs[0].origin.get("units") or {}
+        radians = {n: _RADIAN if is_in_degrees(said.get(n, "")) else sympy.S.One for n in sizes}
+        return cls(_unit(span), {n: own * _unit(sizes[n] / own) for n, own in radians.items()})
 
     @property
     def usual(self) -> bool:
@@ -132,6 +139,24 @@ class Units:
         found : in these units; its explanations say so.
         runs, inputs : the data as they were.
         """
+        form = form_of(found.settings)
+        own = {v: self.columns[s] / self.time for s, v in form.velocities.items()}
+        whole = replace(self, columns={**self.columns, **own})
+        if own:
+            runs = [run.as_measured() for run in form.prepare(carry(runs))]
+        restored = whole.restore_columns(found, runs, inputs)
+        units = {"t": float(self.time), **{n: float(u) for n, u in self.columns.items()}}
+        return replace(restored, settings={**found.settings, "units": units})
+
+    def restore_columns(
+        self, found: Discovery, runs: Sequence[Trajectory], inputs: Mapping[str, sympy.Expr]
+    ) -> Discovery:
+        """Give a discovery in the units of the data, all of whose columns have one here.
+
+        Parameters
+        ----------
+        found, runs, inputs : as for :meth:`restore`, with velocities in the runs.
+        """
         known = {s: self._restore_constants(s, found) for s in found.errors}
         return replace(
             found,
@@ -147,10 +172,6 @@ class Units:
             verdict=self._restore_verdict(found.verdict),
             trajectories=tuple(runs),
             inputs=dict(inputs),
-            settings={
-                **found.settings,
-                "units": {"t": float(self.time), **{n: float(u) for n, u in self.columns.items()}},
-            },
         )
 
     def _restore_equation(self, state: str, expr: sympy.Expr) -> sympy.Expr:
