@@ -958,3 +958,36 @@ def test_columns_of_one_name_that_differ_by_noise_are_replicates(tmp_path):
     assert [run.states for run in runs] == [("temp", "OD")] * 3
     assert np.allclose(runs[2].x[:, 1], copies[2], atol=1e-5)
     assert states({"t": T, "x": RISE, "x_2": RISE**2}) == ("x", "x_2")
+
+
+def test_an_input_that_holds_levels_but_for_noise_is_an_input_at_its_levels():
+    """What a scope measures of a switch is no state; the mean of each level is what acts."""
+    t, rng = np.arange(200) * 0.1, np.random.default_rng(0)
+    switch = 5.0 * (np.arange(200) // 33 % 2)
+    x = np.exp(-0.3 * t)
+    noisy = switch + rng.normal(0, 0.03, 200)
+    table = read_trajectories({"t": t, "CH1": noisy, "CH2": x + rng.normal(0, 0.01, 200)})
+    assert any("holds its value but for noise of 0.0" in note for note in table.notes)
+    (run,) = table.trajectories
+    assert run.states == ("CH2",) and run.hold == {"CH1": "previous"}
+    levels = np.array([noisy[switch == level].mean() for level in (0, 5)])
+    assert np.allclose(run.inputs[:, 0], levels[(switch > 0).astype(int)])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda t, rng: np.exp(-(t % 4)) + rng.normal(0, 0.01, len(t)),  # rests are none
+        lambda t, rng: np.where(t == 5, 9.0, 1.0) + rng.normal(0, 0.1, len(t)),  # one outlier
+        lambda t, rng: 5 * np.tanh(8 * np.sin(t)) + rng.normal(0, 0.02, len(t)),  # goes over
+        lambda t, rng: rng.standard_t(2, len(t)),
+        lambda t, rng: np.cumsum(rng.normal(0, 1, len(t))),
+    ],
+)
+def test_what_moves_between_its_rests_is_a_state(make):
+    """Decays that begin again, outliers, smooth switches and heavy noise hold no levels."""
+    t = np.round(np.arange(200) * 0.1, 1)
+    x = make(t, np.random.default_rng(1))
+    run = one({"t": t, "x": x, "y": t**2}, states=["x", "y"])
+    table = read_trajectories({"t": t, "x": x, "y": t**2})
+    assert table.trajectories[0].states == run.states

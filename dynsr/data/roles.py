@@ -13,6 +13,7 @@ import numpy as np
 from dynsr.data.columns import Columns
 from dynsr.data.dosing import find_amounts, refuse_amounts
 from dynsr.data.grouping import Grouping, is_text
+from dynsr.data.levels import find_levels
 from dynsr.data.lines import ROUNDED, is_second_time, numbers_phases, numbers_rows
 from dynsr.data.measurement_errors import (
     counts_values,
@@ -354,7 +355,10 @@ class _Look:
         if not self._is_number(name):
             return False
         pieces = self._pieces(name)
-        return is_set(name, pieces) or is_noted_at_changes(name, pieces)
+        if is_set(name, pieces) or is_noted_at_changes(name, pieces):
+            return True
+        levels = find_levels(pieces)
+        return levels is not None and is_set(name, levels[0])
 
     def constants(self, names: Sequence[str]) -> dict[str, str]:
         """Give the columns that have one value in all rows."""

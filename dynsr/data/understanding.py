@@ -13,6 +13,7 @@ from dynsr.data.dosing import Dosing, split_after_doses
 from dynsr.data.grouping import Grouping, guess_grouping
 from dynsr.data.holding import HOLDS
 from dynsr.data.known_noise import KnownNoise, check_noise
+from dynsr.data.levels import find_levels
 from dynsr.data.limits import Limits, Range, limit_cells
 from dynsr.data.long_tables import describe_long, find_quantity, widen
 from dynsr.data.name_parts import bracketed_unit
@@ -443,6 +444,8 @@ def _order(
     values |= {name: np.nan_to_num(values[name]) for name in given}
     runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label, given)
     runs = _held(runs, roles)
+    runs, said = _on_levels(runs, roles)
+    notes += said
     runs, said = _observed(runs, roles, columns.label)
     notes += said
     runs, said = _long_enough(runs, columns.label)
@@ -491,6 +494,22 @@ def _held(runs: Sequence[Run], roles: Roles) -> list[Run]:
         replace(run, values={**run.values, **{n: hold_on(run.values[n]) for n in noted}})
         for run in runs
     ]
+
+
+def _on_levels(runs: Sequence[Run], roles: Roles) -> tuple[list[Run], list[str]]:
+    """Take the noise off inputs that hold levels: what acts on the states has none of it."""
+    runs, notes = list(runs), []
+    for name in (n for n in roles.inputs if n not in roles.doses.values()):
+        found = find_levels([run.values[name] for run in runs])
+        if found is None:
+            continue
+        pairs = zip(runs, found[0], strict=True)
+        runs = [replace(run, values={**run.values, name: own}) for run, own in pairs]
+        notes.append(
+            f"{name!r} holds its value but for noise of {found[1]:.2g}, and steps: the mean of "
+            "each level was taken for it."
+        )
+    return runs, notes
 
 
 def _observed(runs: Sequence[Run], roles: Roles, label: str) -> tuple[list[Run], list[str]]:
