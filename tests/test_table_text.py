@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dynsr.data import read_trajectories
 from dynsr.data.columns import load_columns, read_names_only
+from dynsr.data.monitor import read_monitor
 from dynsr.errors import DynsrWarning, InputError
 
 T = np.arange(14) * 0.25
@@ -411,3 +412,38 @@ def test_settings_with_a_number_for_each_column_are_above_the_table(tmp_path, wr
     columns = load_columns(put(tmp_path, write(text), "rig.lvm"))
     check_body(columns, ("X_Value", "fill", "flow"))
     assert columns.notes[0] == "lines 1 to 15 of rig.lvm above its table have no data; skipped"
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["hours:{} fill:{} flow:{}", "hours={}, fill = {} , flow={}", "hours: {}|fill: {}|flow: {}"],
+)
+def test_lines_with_a_name_before_each_value_are_a_table(tmp_path, form):
+    """As programs print them while they run; other lines are skipped, which is said."""
+    lines = ["Booting", *(form.format(*row) for row in zip(T, FILL, FLOW, strict=True))]
+    path = put(tmp_path, "\n".join(lines), "serial.log")
+    found = load_columns(path)
+    check_body(found)
+    assert read_names_only(path) == found.names and "'Booting'" in found.notes[0]
+
+
+def test_a_clock_before_an_arrow_is_the_time(tmp_path):
+    """As the monitor of an Arduino has it, with names and units or without."""
+    stamps = [
+        f"23:59:{56 + k / 4:06.3f}" if k < 16 else f"00:00:{k / 4 - 4:06.3f}" for k in range(14)
+    ]
+    cells = [f"{a},{b}" for a, b in zip(FILL, FLOW, strict=True)]
+    bare = "\n".join(f"{s} -> {c}" for s, c in zip(stamps, cells, strict=True))
+    run = read_trajectories(put(tmp_path, bare)).trajectories[0]
+    assert np.allclose(run.t, T) and np.array_equal(run.x, np.column_stack([FILL, FLOW]))
+    own = [f"fill: {a} cm flow: {b} L/min" for a, b in zip(FILL, FLOW, strict=True)]
+    named = "\n".join(f"{s} -> {c}" for s, c in zip(stamps, own, strict=True))
+    run = read_trajectories(put(tmp_path, named)).trajectories[0]
+    assert run.states == ("fill", "flow") and run.origin["units"] == {"fill": "cm", "flow": "L/min"}
+
+
+def test_remarks_of_names_and_values_above_a_table_are_no_table(tmp_path):
+    """Nor are settings of other names in each line."""
+    above = "".join(f"gain {k}: 2 V\n" for k in range(5))
+    check_body(load_columns(put(tmp_path, f"{above}hours,fill,flow\n{BODY}")))
+    assert read_monitor([f"gain_{k}: {k}, x: 2" for k in range(20)], "settings.txt") is None

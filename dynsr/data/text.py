@@ -34,6 +34,7 @@ from dynsr.data.layout import (
     search_layout,
     settings_of_wells,
 )
+from dynsr.data.monitor import read_monitor
 from dynsr.errors import InputError, quoted
 
 _HEAD_BYTES = 1 << 16
@@ -83,6 +84,12 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
     plain = _load_plain(path) if decimal in (None, ".") else None
     if plain is not None:
         return plain
+    if _first_of_monitor(path, head):
+        check_size(path, _unpacked_size(path))
+        with _opener(path)(path, "rt", encoding=_encoding(head), errors="replace") as file:
+            found = read_monitor(file, path.name)
+        if found is not None:
+            return found
     try:
         return _load_text(path, _Head(path.name, head, cut, _encoding(head)), decimal)
     except UnicodeDecodeError:
@@ -96,7 +103,15 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
 def read_header(path: Path) -> tuple[str, ...]:
     """Give the names of the columns of a text; only its first lines are read."""
     head, cut = _read_head(path)
+    if printed := _first_of_monitor(path, head):
+        return printed.names
     return tuple(_Head(path.name, head, cut, _encoding(head)).layout.names)
+
+
+def _first_of_monitor(path: Path, head: bytes) -> Columns | None:
+    """Read the first lines as those that a program printed."""
+    lines = _LINE_END.split(head.decode(_encoding(head), errors="replace"))
+    return read_monitor(lines[:_HEAD_LINES], path.name)
 
 
 def _encoding(head: bytes) -> str:
