@@ -45,6 +45,31 @@ def test_marks_of_a_missing_value_are_one(mark):
         assert not reading.notes and not reading.fault
 
 
+@pytest.mark.parametrize(
+    ("cells", "wanted"),
+    [
+        (("1.5x10^5", "2 x 10^-3", "7"), (1.5e5, 2e-3, 7)),
+        (("1,5\u00b710^5", "2,0*10**6", "7,5"), (1.5e5, 2e6, 7.5)),
+        (("1.5 \u00d7 10\u2075", "2 \u00d7 10\u207b\u00b9\u00b2", "7.25"), (1.5e5, 2e-12, 7.25)),
+        (("3 \u00d7 10\u2074 cells/mL", "2 \u00d7 10\u2074 cells/mL"), (3e4, 2e4)),
+        (("1.5-", "2.25", "1,204.5-"), (-1.5, 2.25, -1204.5)),
+        (("*******", "2.25", "3.5"), (NAN, 2.25, 3.5)),
+    ],
+)
+def test_powers_signs_and_stars_as_people_and_programs_write_them(cells, wanted):
+    """A power of ten, a sign behind its number, and the stars of a number that was too wide."""
+    reading = read(*cells)
+    np.testing.assert_allclose(reading.values, wanted, rtol=1e-15)
+    assert not reading.fault
+
+
+def test_too_numerous_to_count_is_above_a_limit():
+    """A plate of colonies that no one counts has more than the limit that is said."""
+    cells = np.array([*map(str, range(10, 100, 10)), "TNTC"], dtype=object)
+    found = read_trajectories({"t": np.arange(10.0), "CFU": cells}, limits={"CFU": ">100"})
+    assert found.trajectories[0].limits["CFU"].above[-1] == 100
+
+
 def test_marks_in_a_column_of_labels_are_labels():
     """A treatment may be called none, and a strain NA."""
     assert read("none", "KCl", "none", "NA").values.tolist() == ["none", "KCl", "none", "NA"]

@@ -37,7 +37,9 @@ _NO_WORDS = (
     "no data",
 )
 # What says that a value was beyond the end of the range, which is not written.
-ABOVE = frozenset(("overflow", "ovrflw", "overrange", "over range", "out of range high", ">max"))
+_ABOVE = "overflow ovrflw overrange >max tntc"
+_ABOVE_WORDS = ("over range", "out of range high", "too numerous to count", "too many to count")
+ABOVE = frozenset((*_ABOVE_WORDS, *_ABOVE.split()))
 MISSING = frozenset(("", *_NO_WORDS, *_NOTHING.split(), *BELOW, *ABOVE))
 _SPACES = " \u00a0\u202f\u2009"
 _CELL = re.compile(
@@ -61,6 +63,17 @@ _UNIT = re.compile(
     rf"(?:1\s*/\s*)?{_BASE}(?:\^?[-\u2212]?[\d²³⁻¹]+)?(?:\s*[/*·.\s]\s*\(?{_BASE}\)?(?:\^?[-\u2212]?[\d²³⁻¹]+)?)*"
 )
 _LONGEST_UNIT = 24
+# A power as people write it, such as 1.2x10^5. A sign behind the number, as accounts have it.
+_POWER = re.compile(
+    r"(?<=\d)\s*[x\u00d7\u00b7\u22c5*]\s*10\s*(?:(?:\^|\*\*)\s*\(?(?P<plain>[-+\u2212]?\d{1,3})\)?"
+    r"|(?P<raised>[\u207b\u207a]?[\u2070\u00b9\u00b2\u00b3\u2074-\u2079]{1,3}))"
+)
+_RAISED = str.maketrans(
+    "\u207b\u207a\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079", "-+0123456789"
+)
+_BEHIND = re.compile(r"(?P<number>\d[\d.,]*)(?P<sign>[-\u2212])")
+# Where a number is too wide for its column, programs in Fortran fill that with stars.
+_STARS = re.compile(r"\*+")
 _MARKED = re.compile(r"\s*[~\u2248]?\s*(?P<number>\S*\d)\s*[*\u2020\u2021\u00a7]{0,3}\s*")
 # A number that a spreadsheet was made to keep as text: ="0.50", '0.50.
 _AS_TEXT = re.compile(r"^=\"(.*)\"$|^'(?=[-+.,\d])(.*)$")
@@ -87,7 +100,9 @@ def is_missing(cell: Any) -> bool:
     [True, True, True, True, False, False]
     """
     if isinstance(cell, str):
-        return cell.strip().lower() in MISSING or says_below(cell) or says_above(cell)
+        text = cell.strip()
+        named = text.lower() in MISSING or _STARS.fullmatch(text) is not None
+        return named or says_below(cell) or says_above(cell)
     try:
         return cell is None or bool(cell != cell)  # noqa: PLR0124
     except (TypeError, ValueError):  # pandas.NA, or a cell that holds several values
@@ -181,13 +196,23 @@ def without_marks(cell: str) -> str:
     return found["number"] if found else cell
 
 
+def _plain(cell: str) -> str:
+    """Give a cell with its power behind an e, and its sign before it."""
+    text = _AS_TEXT.sub(r"\1\2", cell.strip())
+    if behind := _BEHIND.fullmatch(text):
+        return f"-{behind['number']}"
+    return _POWER.sub(lambda own: f"e{own['plain'] or own['raised'].translate(_RAISED)}", text)
+
+
 def parse_number(cell: str) -> Amount | None:
     """Take a cell apart that is a number, perhaps beyond a limit or with a unit; None for others.
 
     >>> parse_number("< 8,5 mg/L").unit, parse_number("12.03.2024"), parse_number("x")
     ('mg/L', None, None)
+    >>> [parse_number(cell).value(".") for cell in ("1.2x10^5", "4 \u00d7 10\u207b\u00b2", "0.5-")]
+    [120000.0, 0.04, -0.5]
     """
-    found = _CELL.fullmatch(_AS_TEXT.sub(r"\1\2", cell.strip()))
+    found = _CELL.fullmatch(_plain(cell))
     if found is None:
         return None
     body = found["body"].strip()
