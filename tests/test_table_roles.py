@@ -991,3 +991,45 @@ def test_what_moves_between_its_rests_is_a_state(make):
     run = one({"t": t, "x": x, "y": t**2}, states=["x", "y"])
     table = read_trajectories({"t": t, "x": x, "y": t**2})
     assert table.trajectories[0].states == run.states
+
+
+@pytest.mark.parametrize(("name", "bits", "step"), [("millis", 16, 1000), ("micros", 32, 10**8)])
+def test_a_clock_that_overflows_goes_on(name, bits, step):
+    """Small computers begin again at 0; runs that each begin at 0 are runs, also of 256 rows."""
+    t = 2**bits - 5 * step // 2 + step * np.arange(N)
+    table = read_trajectories({name: t % 2**bits, "x": DECAY})
+    (run,) = table.trajectories
+    assert np.array_equal(np.diff(run.t), np.full(N - 1, step)) and np.array_equal(
+        run.x[:, 0], DECAY
+    )
+    assert any(f"after {bits} bits" in note for note in table.notes)
+    twice, size = np.tile(np.arange(256.0), 2), np.repeat([1, 2], 256)
+    assert len(read_trajectories({"t": twice, "x": size * np.exp(-0.01 * twice)}).trajectories) == 2
+
+
+def test_stamps_of_a_beginning_and_an_end_are_one_time():
+    """TIMESTAMP_START is the time, TIMESTAMP_END another one, and TS the temperature of soil."""
+    stamps = pd.date_range("2024-06-01 13:00", periods=N + 1, freq="30min").strftime("%Y%m%d%H%M")
+    stamps = stamps.astype("int64")
+    columns = {"TIMESTAMP_START": stamps[:-1], "TIMESTAMP_END": stamps[1:], "TS": DECAY}
+    table = read_trajectories(columns)
+    (run,) = table.trajectories
+    assert run.states == ("TS",) and np.array_equal(run.t, 30.0 * np.arange(N))
+    assert "TIMESTAMP_END" in table.left_out
+
+
+def test_hours_and_minutes_of_four_digits_are_a_clock():
+    """1530 next to a day is half past three; 1570 is none."""
+    clock = 100 * (np.arange(N) // 2) + 30 * (np.arange(N) % 2)
+    own = {"Year": np.full(N, 2024), "DOY": np.full(N, 153), "HHMM": clock}
+    run = one({**own, "x": DECAY})
+    assert run.states == ("x",) and np.array_equal(run.t, 30.0 * np.arange(N))
+    own = {"t": T, "HHMM": clock + 40, "x": DECAY}
+    assert states(own) == ("HHMM", "x")
+
+
+@pytest.mark.parametrize("form", ["{h:d}d {m:02d}:00:00", "P{h}DT{m}H"])
+def test_days_and_hours_in_cells_are_durations(form):
+    """As loggers and ISO 8601 write them."""
+    run = one({"Time": [form.format(h=k // 24, m=k % 24) for k in range(N)], "x": DECAY})
+    assert np.array_equal(run.t, np.arange(N)) and run.time_unit == "h"

@@ -109,6 +109,25 @@ def unwrap_angles(runs: Sequence[Trajectory]) -> tuple[list[Trajectory], list[st
     return found, notes
 
 
+def count_on(values: np.ndarray) -> tuple[np.ndarray, int] | None:
+    """Give a count that rises and begins again after so many bits as one that goes on, and these.
+
+    Parameters
+    ----------
+    values : (n,) numbers, such as milliseconds of a small computer. None for others, and for those
+        that begin at 0, which may be those of several runs.
+
+    >>> count_on(np.array([65000.0, 65200.0, 65400.0, 64.0, 264.0]))
+    (array([65000., 65200., 65400., 65600., 65800.]), 16)
+    """
+    for turn in _turns([values], ""):
+        found, jumps = _go_on(values, turn.size)
+        steps = np.diff(found[np.isfinite(found)])
+        if turn.bits and jumps > 0 and np.all(steps >= 0) and values[0] > steps.max():
+            return found, turn.bits
+    return None
+
+
 def is_in_degrees(unit: str) -> bool:
     """Whether a unit is degrees of an angle, or those of its slopes.
 

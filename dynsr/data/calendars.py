@@ -22,6 +22,7 @@ _PARTS = {
     r"kalenderwoche|semaine|semana",
     "day": r"days?|dd|dom|tag|jour|d[ií]a",
     "of_year": r"doy|day.?of.?year|julian.?day|jday|yday|tag.?im.?jahr",
+    "clock": r"hh:?mm|hrmn|hr:?min|hour:?min(ute)?",
     "hour": r"hours?|hh|hr|h|stunde|heure|hora",
     "minute": r"minutes?|min|mi|minuto",
     "second": r"seconds?|ss|sec|s|sekunde|seconde|segundo",
@@ -33,11 +34,12 @@ _RANGES = {
     "week": (1, 53),
     "day": (1, 31),
     "of_year": (0, 367),
+    "clock": (0, 2400),
     "hour": (0, 24),
     "minute": (0, 60),
     "second": (0, 61),
 }
-_WHOLE = ("year", "quarter", "month", "week", "day")
+_WHOLE = ("year", "quarter", "month", "week", "day", "clock")
 _DATE = ("year", "month", "day")
 _SCALES = {"day": 86400, "hour": 3600, "minute": 60, "second": 1}
 _ENDS = {"hour": 24, "minute": 60, "second": 60}
@@ -64,6 +66,10 @@ def join_calendar(columns: Columns, said: Collection[str]) -> Columns:
     """
     parts = _find_parts(columns, said)
     found = {part: _numbers(columns, name, part) for part, name in parts.items()}
+    if "clock" in found:  # 1530 is half past three
+        found["hour"], found["minute"] = divmod(found.pop("clock"), 100)
+        if np.any(found["minute"] >= _ENDS["minute"]):
+            return columns
     if "year" in parts and {"quarter", "month", "week", "of_year"} & set(parts):
         stamps = _put_together(found)
     elif not {"year", "month", "quarter", "week", "of_year"} & set(parts) and len(parts) > 1:
@@ -168,6 +174,8 @@ def _find_parts(columns: Columns, said: Collection[str]) -> dict[str, str]:
                 del found[part]
     if "week" in found:  # it says the day itself, and a month next to it no more
         found = {p: own for p, own in found.items() if p in ("year", "week")}
+    if "hour" in found or not {"day", "of_year"} & set(found):
+        found.pop("clock", None)
     parts = [p for p in _PARTS if p in found and not (p in ("month", "day") and "of_year" in found)]
     return {part: found[part] for part in _without_breaks(parts, found)}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dynsr.data.angles import count_on
 from dynsr.data.columns import Columns
 from dynsr.data.lines import follows_line, last_digit, numbers_rows
 from dynsr.data.name_parts import bare_name, bracketed_unit
@@ -38,7 +39,7 @@ _OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kel
 _BEFORE_NOW = re.compile(
     r"(?<![^\W\d_])(bp|b2k|ago|ka|kyr|ma|myr|countdown|remaining)(?![^\W\d_])", re.IGNORECASE
 )
-_OTHER_TIME = re.compile(r"(t|time)_\w+", re.IGNORECASE)
+_OTHER_TIME = re.compile(r"(t|time|time.?stamp|date.?time)_\w+", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,17 @@ def _without_summer_time(time: Times) -> Times:
     return replace(time, values=values, notes=(*time.notes, note))
 
 
+def _counted_on(time: Times) -> Times:
+    """Give a clock of so many bits that begins again at 0 as one that goes on."""
+    found = None if time.counted else count_on(time.values)
+    if found is None:
+        return time
+    note = (
+        f"{time.name!r} begins again after {found[1]} bits, as a clock that overflows: it goes on"
+    )
+    return replace(time, values=found[0], notes=(*time.notes, note))
+
+
 # Numbers of cells may be of any size; what overflows is no evidence of anything.
 @np.errstate(over="ignore", invalid="ignore")
 def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
@@ -156,7 +168,7 @@ def find_time(columns: Columns, time: str | Sequence[str] | None) -> Times:
     the time.
     """
     look = _Look(columns)
-    found = _without_summer_time(look.named(time) if time else look.guess())
+    found = _counted_on(_without_summer_time(look.named(time) if time else look.guess()))
     if columns.time_unit and found.name == columns.names[0]:
         found = replace(found, unit=columns.time_unit)
     stated = columns.units.get(found.name) or bracketed_unit(found.name)
@@ -446,8 +458,9 @@ class _Look:
             if name in time.columns:
                 continue
             if values.dtype.kind == "f":
-                # Years of 365 and 366 days are no line in days.
-                if _DECIMAL_YEAR.fullmatch(name) and time.counted:
+                # Dates as numbers, and years of 365 and 366 days, are no line in days.
+                dated = _OTHER_TIME.fullmatch(name) and self._moments(name) is not None
+                if time.counted and (dated or _DECIMAL_YEAR.fullmatch(name)):
                     left_out[name] = f"is a second time in addition to {time.name!r}"
                 continue
             if values.dtype.kind == "m" and not is_time_name(name):

@@ -18,8 +18,8 @@ _SECONDS = {"years": _YEAR, "days": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}
 _SLACK = 0.999
 _WORDS = {
     "ns": "ns|nanosec(ond)?s?",
-    "µs": "us|µs|μs|microsec(ond)?s?",
-    "ms": "ms|msecs?|millisec(ond)?s?",
+    "µs": "us|µs|μs|micros|microsec(ond)?s?",
+    "ms": "ms|msecs?|millis|millisec(ond)?s?",
     "s": "s|secs?|seconds?|sek|sekunden?|secondes?|segundos?|secondi",
     "min": "mins?|minutes?|minuten?|minutos?|minuti",
     "h": "h|hrs?|hours?|std|stunden?|heures?|horas?",
@@ -57,7 +57,8 @@ _SINCE = tuple(float(np.datetime64(day, "s").astype(int)) for day in ("2000-01-0
 # The day that a spreadsheet counts as 0, in seconds since 1970.
 _SERIAL_0 = float(np.datetime64("1899-12-30", "s").astype(int))
 _DURATION = re.compile(
-    r"-?(\d+ days?,? )-?\d+:\d\d(:\d\d(\.\d*)?)?|\d+ days?|-\d+:\d\d(:\d\d(\.\d*)?)?"
+    r"-?(\d+ ?d(ays?)?,? )-?\d+:\d\d(:\d\d(\.\d*)?)?|\d+ days?|-\d+:\d\d(:\d\d(\.\d*)?)?|"
+    r"P(\d+D)?(T(\d+H)?(\d+M)?(\d+(\.\d+)?S)?)?"
 )
 _CLOCK = (
     r"(?P<h>\d+)[:h](?P<m>\d\d)(?:[:m](?P<s>\d\d))?(?:[.,](?P<f>\d{1,9}))?s?"
@@ -187,7 +188,7 @@ def is_time_name(name: str) -> bool:
     >>> [is_time_name(name) for name in ("t", "Date/Time", "Datum Uhrzeit", "temperature")]
     [True, True, True, False]
     """
-    return _NAME.fullmatch(name.strip()) is not None
+    return _NAME.fullmatch(name.strip(" _")) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,7 +493,8 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
 
     first = next(text for text in texts if text)
     if _DURATION.fullmatch(first):
-        full = [c if c is None or c.count(":") != 1 else f"{c}:00" for c in texts]
+        whole = [c if c is None else re.sub(r"(?<=\d) ?d(?=,? )", " days", c) for c in texts]
+        full = [c if c is None or c.count(":") != 1 else f"{c}:00" for c in whole]
         read = _attempt(lambda: pandas.to_timedelta(full).to_numpy())
         return None if read is None else Moments(read)
     counted = read_counted(np.array(texts, dtype=object))
