@@ -1033,3 +1033,15 @@ def test_days_and_hours_in_cells_are_durations(form):
     """As loggers and ISO 8601 write them."""
     run = one({"Time": [form.format(h=k // 24, m=k % 24) for k in range(N)], "x": DECAY})
     assert np.array_equal(run.t, np.arange(N)) and run.time_unit == "h"
+
+
+def test_rows_around_an_event_of_a_model_are_a_step_of_its_input():
+    """Programs of Modelica write a time twice where an input steps, and slopes next to states."""
+    at, u = 10, np.where(np.arange(N) < 10, 0.5, 2.0)
+    rows = np.insert(np.arange(N), at, at)
+    source = {"time": T[rows], "x": DECAY[rows], "der(x)": np.gradient(DECAY)[rows], "u": u[rows]}
+    source["u"][at] = 0.5
+    table = read_trajectories(source)
+    (run,) = table.trajectories
+    assert run.states == ("x",) and "der(x)" in table.left_out
+    assert np.array_equal(run.inputs[:, 0], u) and run.hold == {"u": "previous"}

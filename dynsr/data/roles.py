@@ -29,6 +29,8 @@ from dynsr.data.time_columns import Times
 from dynsr.data.times import is_time_name, unit_in_name
 from dynsr.errors import DynsrWarning, InputError
 
+# What programs of Modelica write next to each state.
+_SLOPE = re.compile(r"der\((?P<of>.+)\)")
 _INPUT = re.compile(r"(f|force|forcing)|(input|control|forcing)s?_?\w*|u_?\d*", re.IGNORECASE)
 _MANY = 30
 
@@ -254,7 +256,10 @@ class _Look:
             values = self._values(name)
             if name in self._columns.faults:
                 continue  # they are numbers, and which ones is to be said
-            if is_text(values) and self._is_remark(values):
+            slope = _SLOPE.fullmatch(name)
+            if slope is not None and slope["of"] in self._columns.names:
+                found[name] = f"is the slope of {slope['of']!r}"
+            elif is_text(values) and self._is_remark(values):
                 found[name] = "holds text"
             elif values.dtype.kind == "f":
                 if not np.isfinite(values).any() and np.isnan(values).all():

@@ -51,6 +51,7 @@ def order_rows(
     time: str,
     label: str,
     summed: Sequence[str] = (),
+    held: Sequence[str] = (),
 ) -> tuple[list[Run], list[str]]:
     """Give the rows of each trajectory in order of time, and sentences on what was done.
 
@@ -62,6 +63,8 @@ def order_rows(
     states : the columns that move on their own.
     time, label : what a message calls the times and the source.
     summed : columns whose rows of one time are added up, as amounts are.
+    held : columns that hold their value and step: of the rows of one time, as programs of models
+        write them before and after a step, the last one counts.
 
     Rows of the same time are averaged, unless the clock is a coarse one, which is
     :func:`dynsr.data.ticks.spread_ticks`. Raises InputError where a single time is wrong, and where
@@ -83,7 +86,7 @@ def order_rows(
             moved += 1
         run = Run(name, rows, t[rows], {n: own[rows] for n, own in values.items()})
         if np.any(np.diff(run.t) == 0):
-            run = _average(run, summed)
+            run = _average(run, summed, held)
             repeated += 1
         runs.append(run)
     if moved:
@@ -166,13 +169,17 @@ def _check_together(
     )
 
 
-def _average(run: Run, summed: Sequence[str]) -> Run:
+def _average(run: Run, summed: Sequence[str], held: Sequence[str]) -> Run:
     """Average rows of the same time, with their spread; amounts are added up."""
     times, index = np.unique(run.t, return_inverse=True)
     values: dict[str, np.ndarray] = {}
     spreads: dict[str, tuple[float, int]] = {}
     for name, own in run.values.items():
         there = np.isfinite(own)
+        if name in held:
+            values[name] = np.full(len(times), np.nan)
+            values[name][index[there]] = own[there]  # the last of several
+            continue
         number = np.bincount(index[there], minlength=len(times))
         sums = np.bincount(index[there], own[there], minlength=len(times))
         if name in summed:

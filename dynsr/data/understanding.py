@@ -22,7 +22,7 @@ from dynsr.data.nonmem import find_nonmem, read_nonmem
 from dynsr.data.replicates import find_replicates, find_summaries, stack_replicates
 from dynsr.data.roles import Roles, guess_roles
 from dynsr.data.rows import Run, order_rows, pooled_noise
-from dynsr.data.steps import between_rows, hold_on, is_noted_at_changes
+from dynsr.data.steps import between_rows, hold_on, is_noted_at_changes, is_set
 from dynsr.data.table_checks import check_infinite, check_values, thin, to_numbers
 from dynsr.data.time_columns import Times, find_time, in_seconds_or_units
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory
@@ -442,7 +442,10 @@ def _order(
     }
     # An empty cell says that nothing was given, and doses of one time are given together.
     values |= {name: np.nan_to_num(values[name]) for name in given}
-    runs, notes = order_rows(grouping, t, values, roles.states, times.name, columns.label, given)
+    label, inputs = columns.label, [n for n in roles.inputs if n not in given]
+    rows = [own[np.argsort(t[own], kind="stable")] for _, own in grouping.rows()]
+    held = [n for n in inputs if is_set(n, [values[n][own] for own in rows])]
+    runs, notes = order_rows(grouping, t, values, roles.states, times.name, label, given, held)
     runs = _held(runs, roles)
     runs, said = _on_levels(runs, roles)
     notes += said
