@@ -1045,3 +1045,18 @@ def test_rows_around_an_event_of_a_model_are_a_step_of_its_input():
     (run,) = table.trajectories
     assert run.states == ("x",) and "der(x)" in table.left_out
     assert np.array_equal(run.inputs[:, 0], u) and run.hold == {"u": "previous"}
+
+
+def test_fields_of_a_database_are_quantities_and_data_sets_are_runs():
+    """_field says what _value is; Data Set 2 is the second run."""
+    long = {
+        "_time": np.tile(T, 2),
+        "_value": np.concatenate([DECAY, RISE]),
+        "_field": np.repeat(["prey", "cats"], N).astype(object),
+    }
+    assert states(long) == ("prey", "cats")
+    names = [f"Data Set {k}:{q}" for k in (1, 2) for q in ("Time(s)", "Voltage(V)")]
+    wide = dict(zip(names, [T, DECAY, T, 2 * DECAY], strict=True))
+    with pytest.warns(DynsrWarning, match="2 runs side by side, called Data Set 1, 2"):
+        table = read_trajectories(pd.DataFrame(wide))
+    assert [run.states for run in table.trajectories] == [("Voltage",)] * 2

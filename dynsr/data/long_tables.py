@@ -18,7 +18,7 @@ from dynsr.errors import InputError
 # A column of such a name says which quantity it is, whatever else there is.
 _QUANTITY = re.compile(
     r"(variable|quantity|quantities|analyte|parameter|param|metabolite|compound|substance|chemical|"
-    r"signal|measure|measurand|measurement|metric|observable|observed|channel|sensor|tag|dv_?name|"
+    r"signal|measure|measurand|measurement|metric|observable|observed|channel|sensor|tag|_?field|dv_?name|"
     r"gr(ö|oe)(ß|ss)e|messgr(ö|oe)(ß|ss)e|kanal|stoff|merkmal|grandeur|magnitud|variable\w*)"
     r"([ _.-]?(id|name|type|code))?",
     re.IGNORECASE,

@@ -12,7 +12,7 @@ _UNIT = re.compile(r"\s*[\[(][\w\s/^*.°%µμ·²³-]*[\])]\s*$")
 _DIVIDED = re.compile(r"(?P<name>.*[^\s/])\s+/\s+(?P<unit>[^\s()]+|\([^()]+\))")
 _WORD = (
     r"rep(?:lica(?:te)?|eat|l|et)?|run|trial|exp(?:eriment)?|batch|lauf|versuch|wdh|wiederholung|"
-    r"replikat|essai|r[ée]p(?:[ée]tition|licat)?|ensayo|r[ée]plica|series|culture|flask|well|plate"
+    r"replikat|data.?set|essai|r[ée]p(?:[ée]tition|licat)?|ensayo|r[ée]plica|series|culture|flask|well|plate"
 )
 BEHIND = re.compile(
     rf"(?P<stem>.*?)[\s_.-]*[\[(]?\s*(?<![^\W\d_])(?P<word>{_WORD})[\s_.#-]*(?P<which>\d+|(?<=[\s_.#-])[a-z])\s*[\])]?",
