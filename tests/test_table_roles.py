@@ -1060,3 +1060,14 @@ def test_fields_of_a_database_are_quantities_and_data_sets_are_runs():
     with pytest.warns(DynsrWarning, match="2 runs side by side, called Data Set 1, 2"):
         table = read_trajectories(pd.DataFrame(wide))
     assert [run.states for run in table.trajectories] == [("Voltage",)] * 2
+
+
+@pytest.mark.parametrize("centred", [True, False])
+def test_a_moving_mean_of_a_column_is_left_out(centred):
+    """Of seven days up to the last, or around each; what is called so and is none stays."""
+    cases = np.round(1000 * np.exp(-(((T - 7) / 3) ** 2)))
+    means = pd.Series(cases).rolling(7, center=centred).mean().round(1)
+    table = read_trajectories(pd.DataFrame({"t": T, "cases": cases, "7-day average": means}))
+    assert table.trajectories[0].states == ("cases",)
+    assert table.left_out["7-day average"] == "is the mean of 7 rows of 'cases'"
+    assert states({"t": T, "cases": cases, "mean": means.fillna(0) + T}) == ("cases", "mean")

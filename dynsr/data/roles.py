@@ -21,6 +21,7 @@ from dynsr.data.measurement_errors import (
     is_error_name,
     is_error_word,
 )
+from dynsr.data.moving_means import find_moving_means
 from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import clean_name, find_column, list_names, rename
 from dynsr.data.noise_model import is_still
@@ -268,6 +269,9 @@ class _Look:
                     reason = self._as_line(name, values)
                     if reason:
                         found[name] = reason
+        numbers = [n for n in names if n not in found and self._is_number(n)]
+        means = find_moving_means({n: self._pieces(n) for n in numbers})
+        found |= {n: f"is the mean of {k} rows of {of!r}" for n, (of, k) in means.items()}
         if len(found) == len(names):
             lines = [n for n in found if self._is_number(n) and np.isfinite(self._values(n)).any()]
             return {n: why for n, why in found.items() if n not in lines}
