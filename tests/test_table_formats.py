@@ -101,6 +101,44 @@ def test_tables_in_json_are_read(tmp_path, form):
     assert found.states == ("x",) and found.rows == 12
 
 
+def test_json_of_rows_by_number_of_values_below_columns_and_of_runs_is_read(tmp_path):
+    """As pandas writes an index, databases a series, and programs a list of runs."""
+    frame, path = pd.DataFrame({"t": T, "a": A, "b": B}), tmp_path / "table.json"
+    path.write_text(frame.to_json(orient="index", double_precision=15))
+    for found, wanted in zip(load_columns(path).values, (T, A, B), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    series = {"name": "pond", "columns": ["t", "a", "b"], "values": frame.to_numpy().tolist()}
+    path.write_text(json.dumps({"results": [{"statement_id": 0, "series": [series]}]}))
+    check(load_columns(path))
+    runs = [
+        {"dish": name, "t": T.tolist(), "a": (k * A).tolist()} for k, name in ((1, "p"), (2, "q"))
+    ]
+    path.write_text(json.dumps({"runs": runs}))
+    table = read_trajectories(str(path))
+    assert table.names == ("p", "q")
+    for k, run in enumerate(table.trajectories, 1):
+        np.testing.assert_array_equal(run.x[:, 0], k * A)
+
+
+def test_feather_is_read(tmp_path):
+    """As Parquet is; a damaged file is refused as such."""
+    path = tmp_path / "table.feather"
+    pd.DataFrame({"t": T, "a": A, "b": B}).to_feather(path)
+    check(load_columns(path))
+    path.write_bytes(b"ARROW1\0\0")
+    with pytest.raises(InputError, match="Feather file"):
+        load_columns(path)
+
+
+@pytest.mark.parametrize(("name", "value"), [("Ts", 0.5), ("dt", 0.5), ("Fs", 2.0)])
+def test_a_number_says_the_step_of_rows_without_times(tmp_path, name, value):
+    """As engineers keep signals in MATLAB; next to a time it says nothing new."""
+    scipy.io.savemat(tmp_path / "signals.mat", {"a": A, "b": B, name: value})
+    check(load_columns(tmp_path / "signals.mat"))
+    scipy.io.savemat(tmp_path / "signals.mat", {"t": 3 * T, "a": A, "b": B, name: value})
+    np.testing.assert_array_equal(load_columns(tmp_path / "signals.mat").values[0], 3 * T)
+
+
 def test_objects_in_cells_of_json_are_columns_of_their_own(tmp_path):
     """Messages of a sensor have its values in an object."""
     rows = [{"t": t, "sensor": {"x": t**2, "of": {"y": -t}}} for t in range(12)]

@@ -194,6 +194,21 @@ def load_parquet(path: Path, decimal: str | None = None) -> Columns:
     return load_frame(frame, path.name, decimal)
 
 
+def load_feather(path: Path, decimal: str | None = None) -> Columns:
+    """Load the columns of a Feather file."""
+    need("pyarrow", "tables", f"reading {path.name!r}")
+    import pandas
+
+    try:
+        check_size(path, path.stat().st_size)
+        frame = pandas.read_feather(path)
+    except InputError:
+        raise
+    except Exception as error:  # pyarrow raises a family of its own for damaged files
+        raise unreadable(path, "Feather file", error) from None
+    return load_frame(frame, path.name, decimal)
+
+
 def load_stata(path: Path, decimal: str | None = None) -> Columns:
     """Load the columns of a Stata file."""
     import pandas
@@ -233,12 +248,14 @@ def _table_in(found: Any, label: str, decimal: str | None) -> Columns | None:
 
     if isinstance(found, list):
         rows = bool(found) and all(isinstance(row, dict) for row in found)
+        if rows and len(found) == 1 and (own := _table_in(found[0], label, decimal)) is not None:
+            return own
         return load_frame(frame_of_rows(found), label, decimal) if rows else None
     if not isinstance(found, dict):
         return None
     parts = list(found.values())
-    names, cells = found.get("columns"), found.get("data")
-    if isinstance(names, list) and isinstance(cells, list):  # as pandas writes it: "split"
+    names, cells = found.get("columns"), found.get("data", found.get("values"))
+    if isinstance(names, list) and isinstance(cells, list):  # as pandas, and databases, write it
         same = all(isinstance(row, list) and len(row) == len(names) for row in cells)
         return load_frame(pandas.DataFrame(cells, columns=names), label, decimal) if same else None
     lists = {name: part for name, part in found.items() if isinstance(part, list) and part}
@@ -247,8 +264,11 @@ def _table_in(found: Any, label: str, decimal: str | None) -> Columns | None:
         return load_mapping(lists, label, decimal)
     inside = [cell for part in parts if isinstance(part, dict) for cell in part.values()]
     plain = inside and not any(isinstance(cell, (list, dict)) for cell in inside)
-    if plain and all(isinstance(part, dict) for part in parts):  # column, row, cell
-        return load_frame(pandas.DataFrame(found), label, decimal)
+    if plain and all(isinstance(part, dict) for part in parts):
+        # Rows have numbers, columns names.
+        by_row = all(map(str.isdigit, found)) and not any(map(str.isdigit, parts[0]))
+        frame = pandas.DataFrame.from_dict(found, orient="index" if by_row else "columns")
+        return load_frame(frame.reset_index(drop=True) if by_row else frame, label, decimal)
     tables = [own for part in parts if (own := _table_in(part, label, decimal)) is not None]
     long = [own for own in tables if own.rows >= _FEWEST] or tables
     return long[0] if len(long) == 1 else None
@@ -260,12 +280,16 @@ def frame_of_rows(rows: Sequence[Mapping[str, Any]]) -> Any:
     Parameters
     ----------
     rows : name -> cell, such as ``{"t": 0, "sensor": {"x": 1}}``, which has the columns t and
-        sensor_x.
+        sensor_x. Where cells are lists of one length, each is a row of its own, next to the other
+        cells, as ``{"run": "a", "t": [0, 1], "x": [5, 3]}``.
     """
     import pandas
 
     nested = any(isinstance(cell, Mapping) for row in rows for cell in row.values())
-    return pandas.json_normalize(list(rows), sep="_") if nested else pandas.DataFrame(rows)
+    frame = pandas.json_normalize(list(rows), sep="_") if nested else pandas.DataFrame(rows)
+    lists = [n for n in frame if all(isinstance(cell, list) for cell in frame[n])]
+    alike = all(len({*map(len, own)}) == 1 for own in zip(*(frame[n] for n in lists), strict=True))
+    return frame.explode(lists, ignore_index=True).infer_objects() if lists and alike else frame
 
 
 READERS: Mapping[str, Callable[[Path, str | None], Columns]] = {
@@ -275,6 +299,7 @@ READERS: Mapping[str, Callable[[Path, str | None], Columns]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf", ".he5"), load_hdf5),
     **dict.fromkeys((".nc", ".nc4", ".cdf", ".netcdf"), load_netcdf),
     **dict.fromkeys((".parquet", ".pq"), load_parquet),
+    ".feather": load_feather,
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), load_json),
     ".dta": load_stata,
 }

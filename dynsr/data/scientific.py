@@ -31,6 +31,9 @@ from dynsr.errors import InputError, need
 # Seconds after which a file that is still being read is damaged: a gigabyte takes a few.
 _PATIENCE = 60
 _TIME = re.compile(r"t|tout|time\w*|times?|\w*_time|zeit|seconds|hours|days", re.IGNORECASE)
+# A number that says how far rows are apart, or how many there are in a second.
+_STEP = re.compile(r"ts|dt|delta_?t|samp(le|ling)_?(time|period|interval)", re.IGNORECASE)
+_RATE = re.compile(r"fs|srate|samp(le|ling)_?(rate|freq(uency)?)", re.IGNORECASE)
 # A dimension of a dataset that counts runs of the same system.
 _RUNS = re.compile(
     r"(runs?|trials?|replicates?|reps?|experiments?|batch(es)?|samples?|wells?|subjects?|stations?|"
@@ -47,7 +50,8 @@ def fit_rows(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]
     arrays : name -> array of any shape, or anything else, which stays.
 
     Gives the arrays, and name -> why it was left out. The rows are those of an array that is
-    called a time, or else those that most arrays have.
+    called a time, or else those that most arrays have. Without such an array, a number such as
+    ``Ts`` or ``Fs`` gives the times, from 0 on.
 
     >>> found, left_out = fit_rows({"t": np.arange(5.0), "x": np.ones((2, 5)), "p": np.ones(3)})
     >>> found["x"].shape, left_out
@@ -61,7 +65,11 @@ def fit_rows(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]
     rows = times[0] if times else max(counts, key=lambda n: (counts[n], n))
     kept: dict[str, Any] = {}
     left_out: dict[str, str] = {}
-    for key, value in _with_names(arrays, shapes, rows).items():
+    named = _with_names(arrays, shapes, rows)
+    if (step := None if times else _step_of(arrays)) is not None:
+        left_out[step[0]] = "says the step of the times"
+        named = {"t": step[1] * np.arange(rows), **{k: v for k, v in named.items() if k != step[0]}}
+    for key, value in named.items():
         shape = value.shape if isinstance(value, np.ndarray) and 0 < value.ndim < 3 else None
         if isinstance(value, np.ndarray) and value.ndim > 2:
             left_out[key] = f"has {value.ndim} dimensions"
@@ -72,6 +80,18 @@ def fit_rows(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]
         else:
             left_out[key] = f"has the shape {shape} where the table has {rows} rows"
     return kept, left_out
+
+
+def _step_of(arrays: Mapping[str, Any]) -> tuple[str, float] | None:
+    """Give the name of the number that says the step of the rows, and the step."""
+    for key, value in arrays.items():
+        said = _STEP.fullmatch(key), _RATE.fullmatch(key)
+        if not any(said) or np.size(value) != 1 or np.asarray(value).dtype.kind not in "fiu":
+            continue
+        number = float(np.asarray(value).reshape(-1)[0])
+        if 0 < number < np.inf:
+            return key, number if said[0] else 1 / number
+    return None
 
 
 def _is_time(name: str) -> bool:
