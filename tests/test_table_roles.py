@@ -1071,3 +1071,17 @@ def test_a_moving_mean_of_a_column_is_left_out(centred):
     assert table.trajectories[0].states == ("cases",)
     assert table.left_out["7-day average"] == "is the mean of 7 rows of 'cases'"
     assert states({"t": T, "cases": cases, "mean": means.fillna(0) + T}) == ("cases", "mean")
+
+
+def test_frames_that_rise_in_each_track_are_the_time():
+    """As programs that follow cells write them: FRAME begins again where TRACK_ID changes."""
+    source = {
+        "TRACK_ID": np.repeat([4.0, 7.0], N),
+        "FRAME": np.tile(np.arange(N) + 5.0, 2),
+        "POSITION_X": np.concatenate([DECAY, RISE]),
+    }
+    table = read_trajectories(source)
+    assert table.names == ("4", "7") and any("'FRAME' rises" in note for note in table.notes)
+    assert np.array_equal(table.trajectories[1].x[:, 0], RISE)
+    timed = {**source, "POSITION_T": np.tile(T, 2)}
+    assert np.array_equal(read_trajectories(timed).trajectories[1].t, T)
