@@ -1,4 +1,4 @@
-from .angles import is_in_degrees
+from .angles import RADIAN, is_in_degrees
 from .catalogue import DEFINITIONS, find_definition
 from .causes import Cause, DiagnosisSettings, diagnose, near_rows_leave_open, turns_back
 from .codes import Missing
@@ -70,6 +70,7 @@ __all__ = [
     "FEWEST_ROWS",
     "FEWEST_SMOOTH",
     "PAPER_SYSTEMS",
+    "RADIAN",
     "SCHEMES",
     "SMOOTHERS",
     "SYSTEMS",

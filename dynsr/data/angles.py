@@ -23,6 +23,8 @@ _TURNS = (
     (400.0, r"gon|grad(ian)?s?"),
     (1.0, r"rev(olution)?s?|turns?|cycles?|umdrehung(en)?|tours?"),
 )
+# Degrees in a radian.
+RADIAN = math.degrees(1.0)
 # A counter begins again after so many bits.
 _BITS = (8, 10, 12, 13, 14, 16, 24, 32)
 _DEGREES = re.compile(

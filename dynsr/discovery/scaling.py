@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory, carry, is_in_degrees
+from dynsr.data import RADIAN, Trajectory, carry, is_in_degrees
 from dynsr.discovery.every_row import are_apart
 from dynsr.discovery.hidden import search_hidden
 from dynsr.discovery.options import Options, Search
@@ -27,8 +27,6 @@ from dynsr.verdict import OtherFormula, Verdict
 
 # Columns and spans of sizes up to this one, and down to one over it, are searched as they are.
 _USUAL = 1e6
-# Degrees in a radian.
-_RADIAN = sympy.Rational(math.degrees(1.0))
 # Beyond these products of a few numbers and slopes leave float64.
 _LARGEST = 1e50
 # Share by which constants of one value are set apart.
@@ -73,7 +71,8 @@ class Units:
             _check(f"column {name!r}", size)
             _check(f"the slope of {name!r}", size / span)
         said = runs[0].origin.get("units") or {}
-        radians = {n: _RADIAN if is_in_degrees(said.get(n, "")) else sympy.S.One for n in sizes}
+        radian = sympy.Rational(RADIAN)
+        radians = {n: radian if is_in_degrees(said.get(n, "")) else sympy.S.One for n in sizes}
         return cls(_unit(span), {n: own * _unit(sizes[n] / own) for n, own in radians.items()})
 
     @property
