@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import sympy
 from command_line import run
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 import dynsr
 from dynsr.data import Trajectory, add_velocities, choose_second_samples
@@ -73,6 +75,29 @@ def test_a_velocity_that_was_made_is_no_measurement(draw):
     assert {str(s) for s in found.equations["x_dot"].free_symbols} == {"x", "x_dot"}
     assert found.verdict.level == "law"
     assert "was not measured" in found.verdict.states["x_dot"].reason
+
+
+@pytest.mark.slow
+def test_constants_of_a_rotor_of_many_turns_are_those_of_least_squares():
+    """Noise of 2e-4 of its range is large for its velocity: constants come from the angle alone."""
+    t = np.arange(0, 6, 0.02)
+
+    def solved(drag, pull, angle, speed):
+        law = lambda _, s: [s[1], -pull * np.sin(s[0]) - drag * s[1]]  # noqa: E731
+        return solve_ivp(law, (0, 6), [angle, speed], t_eval=t, rtol=1e-9, atol=1e-9).y[0]
+
+    angle = solved(0.15, 20.0, 0.5, 20.0)
+    seen = angle + 0.004 * np.random.default_rng(0).normal(size=len(t))
+    assert 3e-4 * np.std(angle) > 0.004
+    fit = least_squares(lambda p: solved(*p) - seen, [0.15, 20.0, 0.5, 20.0], x_scale="jac")
+    errors = 0.004 * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))[:2]
+    options = {"order": 2, "functions": ("sin",), "snap": False, "preset": "quick", "jobs": 1}
+    found = dynsr.discover((t, seen[:, None]), **options)
+    (state,) = [s for s in found.equations if s != "x"]
+    own = sorted((-value, error) for value, error in found.errors[state])
+    assert np.allclose([value for value, _ in own], fit.x[:2], atol=errors / 2)
+    ratios = np.array([error for _, error in own]) / errors
+    assert np.all((ratios > 0.5) & (ratios < 2))
 
 
 @pytest.mark.slow

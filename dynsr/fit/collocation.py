@@ -1209,9 +1209,16 @@ class Measurements:
     def unsure_share(self) -> float:
         """Greatest over the states of the error of the curve where the state was not measured.
 
-        Root mean square as a share of spread; 0 where all states were measured at every row.
+        Root mean square as a share of spread; 0 where all states were measured at every row. A
+        velocity was measured nowhere: its error is that of the slope of its state.
         """
         found = [0.0]
+        names = self.runs[0].states
+        for state, slope in self.derived.items():
+            own = [smoothed.slope_sd[:, names.index(state)] for smoothed in self.smoothed]
+            spread = self._spread[names.index(str(slope))]
+            if spread > 0:
+                found.append(math.sqrt(np.mean(np.concatenate(own) ** 2)) / spread)
         for place, spread in enumerate(self._spread):
             own = [
                 smoothed.x_sd[~run.measured[:, place], place]
