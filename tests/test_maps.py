@@ -165,3 +165,20 @@ def test_the_command_finds_and_iterates_a_map(tmp_path):
     made = run("simulate", tmp_path / "out" / "discovery.json", "--x0", "0.4", "--span", "0,3")
     lines = made.stdout.splitlines()
     assert len(lines) == 5 and float(lines[2].split(",")[1]) == pytest.approx(3.7 * 0.24)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_a_map_of_ricker_is_found_in_noise(noise):
+    """Methods for sums of powers do not try N exp(-b N); a first look does, as for flows."""
+    rng, counts = np.random.default_rng(1), [0.7]
+    for _ in range(79):
+        counts.append(counts[-1] * np.exp(2.3 * (1 - counts[-1] / 4)))
+    seen = np.array(counts) * np.exp(noise * rng.normal(size=80))
+    data = {"year": np.arange(80.0), "N": seen}
+    found = dynsr.discover(data, discrete=True, preset="quick", snap=False, jobs=1)
+    N = sympy.Symbol("N")
+    match = found.equations["N"].match(sympy.Wild("a") * N * sympy.exp(-sympy.Wild("b") * N))
+    assert match is not None and N not in sympy.Add(*match.values()).free_symbols
+    size, rate = (float(match[sympy.Wild(name)]) for name in ("a", "b"))
+    assert size == pytest.approx(np.exp(2.3), rel=0.05) and rate == pytest.approx(0.575, rel=0.05)

@@ -332,7 +332,7 @@ def _choose_first(asked: Options, problem: Problem, engine: AbstractEngine) -> t
     if not _left_to_us(asked):
         return ()
     # Who names an engine wants the methods that regress in it.
-    looked = not problem.form.discrete and engine.name == DEFAULT_ENGINE
+    looked = engine.name == DEFAULT_ENGINE
     data = problem.measurements
     if data is None:
         has = problem.settings.selection.parts.has
