@@ -11,7 +11,7 @@ import numpy as np
 from dynsr.data.angles import count_on
 from dynsr.data.columns import Columns
 from dynsr.data.lines import follows_line, last_digit, numbers_rows
-from dynsr.data.name_parts import bare_name, bracketed_unit, is_label_name
+from dynsr.data.name_parts import bare_name, bracketed_unit
 from dynsr.data.names import find_column, list_names
 from dynsr.data.times import (
     Moments,
@@ -39,6 +39,7 @@ _OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kel
 _BEFORE_NOW = re.compile(
     r"(?<![^\W\d_])(bp|b2k|ago|ka|kyr|ma|myr|countdown|remaining)(?![^\W\d_])", re.IGNORECASE
 )
+_FRAME = re.compile(r"frames?|bild", re.IGNORECASE)
 _OTHER_TIME = re.compile(r"(t|time|time.?stamp|date.?time)_\w+|position_t", re.IGNORECASE)
 
 
@@ -401,11 +402,16 @@ class _Look:
         return times if len(times) == 1 else [t for t in times if _rises(t.values)]
 
     def _worded(self) -> list[Times]:
-        """Give the only column whose name ends in a whole word of time, such as "visit_day"."""
+        """Give the only column whose name ends in a whole word of time, such as "visit_day".
+
+        Or that of frames, as programs that follow cells through a film number them.
+        """
         found = []
         for name in self._columns.names:
             word = re.split(r"[\W_]+", bare_name(name))[-1]
             numbers = self._numbers(name)
+            if _FRAME.fullmatch(name) and numbers is not None:
+                return [Times(name, numbers)]
             if (
                 len(word) > 3 - (word.lower() == "day")
                 and unit_in_name(word)
@@ -418,7 +424,6 @@ class _Look:
         """Give the first column that rises from row to row; one that numbers them comes last."""
         named = [n for n in self._columns.names if n and self._values(n).dtype.kind == "f"]
         rising = [n for n in named if _rises(self._values(n))]
-        rising = rising or [n for n in named if self._rises_in_runs(n)]
         one = np.zeros(len(self._columns.values[0]), dtype=int)
         # What is measured in a unit is more than a number of a row.
         rising.sort(key=lambda n: numbers_rows(n, self._values(n), one) and not self._unit(n))
@@ -432,19 +437,6 @@ class _Look:
         if _BEFORE_NOW.search(found.name):
             note += " It counts back from now: take minus it, else slopes have the other sign."
         return [replace(found, notes=(*found.notes, note))]
-
-    def _rises_in_runs(self, name: str) -> bool:
-        """Whether a column rises and begins again where a label changes, as frames of tracks do."""
-        values = self._values(name)
-        if is_label_name(name) or not np.isfinite(values).all():
-            return False
-        falls = np.flatnonzero(np.diff(values) <= 0)
-        for label in filter(is_label_name, self._columns.names):
-            cells = self._values(label)
-            changes = np.flatnonzero(cells[1:] != cells[:-1])
-            if len(falls) > 0 and 2 * len(falls) < len(values) and set(falls) <= set(changes):
-                return True
-        return False
 
     def _unit(self, name: str) -> str:
         return (self._columns.units.get(name) or bracketed_unit(name)).strip()
