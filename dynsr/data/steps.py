@@ -82,7 +82,8 @@ def is_set(name: str, pieces: Sequence[np.ndarray], settings: StepSettings = _SE
         return bool(counts.min() > 1)
     steps = [np.diff(values) for values in own]
     still = sum(int(np.sum(step == 0)) for step in steps)
-    if still < settings.repeats * sum(map(len, steps)):
+    # What is another constant in each trajectory never steps.
+    if still == sum(map(len, steps)) or still < settings.repeats * sum(map(len, steps)):
         return False
     jumps = np.concatenate([_single_steps(step) for step in steps])
     smallest = float(np.min(np.diff(levels)))
