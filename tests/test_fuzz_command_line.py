@@ -23,7 +23,7 @@ from dynsr.errors import InputError
 from dynsr.expression.parsing import parse
 
 SEED = int(os.environ.get("DYNSR_FUZZ_SEED", "0"))
-COUNT = 500
+COUNT = 1000
 COMMAND = typer.main.get_command(app)
 T = np.linspace(0, 3, 40)
 

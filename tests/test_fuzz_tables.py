@@ -14,7 +14,7 @@ import dynsr
 from dynsr.errors import DynsrError, DynsrWarning
 
 SEED = int(os.environ.get("DYNSR_FUZZ_SEED", "0"))
-COUNT = 250
+COUNT = 500
 CELLS = [
     *(
         "",
