@@ -122,17 +122,6 @@ def test_a_column_that_does_not_come_back_is_of_first_order():
 
 
 @pytest.mark.slow
-def test_a_rotor_that_never_comes_back_is_of_second_order_where_first_order_is_no_law():
-    """Any curve that only rises has an equation of first order, but here none that is found."""
-    law = lambda _, s: [s[1], -6 * np.sin(s[0]) - 0.1 * s[1]]  # noqa: E731
-    path = solve_ivp(law, (0, 8), [0.0, 8.0], t_eval=np.linspace(0, 8, 250), rtol=1e-9)
-    assert np.all(np.diff(path.y[0]) > 0)
-    found = dynsr.discover((path.t, path.y[:1].T), functions=("sin",), preset="quick", jobs=1)
-    assert list(found.equations) == ["x", "x_dot"] and found.verdict.level == "law"
-    assert "x never comes back" in found.explanation["x"]
-
-
-@pytest.mark.slow
 def test_two_positions_are_of_second_order_by_themselves():
     """Two oscillators on springs: no law of first order, then one of second order for both."""
     t = np.linspace(0, 20, 200)

@@ -84,8 +84,10 @@ def show_reasons(
     # Details have these in the reasons.
     for words in () if details else (*found.hidden_notes.values(), *found.noise_notes.values()):
         _say(words)
-    if not details and (why := found.settings.get("order_why")):
-        _say(why)
+    from dynsr.discovery import explain_order
+
+    if not details and (positions := found.settings.get("order_by_data")):
+        _say(explain_order(positions))
     _print_constants(found, details)
     for words in found.volume_notes:
         _say(words)

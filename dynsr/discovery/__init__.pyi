@@ -8,6 +8,7 @@ from .problem import DISCOVERY, DiscoverySettings
 from .records import RECORD, is_own_record
 from .result import Discovery, Inclusion, is_own_data, keep, load
 from .search import discover
+from .second_order import explain_order
 from .trajectory_estimator import TrajectoryRegressor
 from .uncertainty import bootstrap
 
@@ -25,6 +26,7 @@ __all__ = [
     "bootstrap",
     "discover",
     "discover_each",
+    "explain_order",
     "is_own_data",
     "is_own_record",
     "keep",

@@ -2,8 +2,7 @@
 
 A solution of ``x' = f(x)`` is monotone. One state that comes back to the same values with other
 slopes has no such law, and ``x'' = f(x, x')`` is searched first. Where each of several states lacks
-another one, or a lone one never comes back, equations of second order are searched if those of
-first order are no law.
+another one, equations of second order are searched if those of first order are no law.
 """
 
 from __future__ import annotations
@@ -50,25 +49,20 @@ def search_orders(search: Search, runs: Sequence[Trajectory], asked: Options) ->
         return search(runs, asked)
     budget, states = Budget(asked.time_budget), runs[0].states
     alone = len(runs[0].names) == 1
-    # The order of what never comes back cannot be seen: first order is the simpler one.
-    onward = alone and not turns_back(runs, states[0])
-    second = alone and not onward and "second order" in _causes(runs, states[0])
+    second = alone and turns_back(runs, states[0]) and "second order" in _causes(runs, states[0])
     found = _search(search, runs, replace(asked, order=2)) if second else None
     if found is None:
         found = search(runs, replace(asked, order=1))
         second = False
     decided = not found.complete or not found.verdict.tested or found.verdict.level == LAW
-    other_too = second or onward or (not alone and _are_positions(runs))
-    if decided or budget.is_over or not other_too:
-        return _say(found, states, onward) if second else found
+    if decided or budget.is_over or not (second or (not alone and _are_positions(runs))):
+        return _say(found, states) if second else found
     rest = replace(asked, order=1 if second else 2, time_budget=budget.rest(), out=None)
     other = _search(search, runs, rest)
     best = found if other is None else min(found, other, key=_rank)
-    if onward and best.verdict.level != LAW:
-        best = found
     keep_if_asked(best, asked.out if best is other else None)
     if second is (best is found):
-        return _say(best, states, onward)
+        return _say(best, states)
     no_better = "" if other is None else " Equations of second order are no better."
     return with_words(best, no_better)
 
@@ -106,18 +100,24 @@ def _rank(found: Discovery) -> tuple[int, float]:
     return found.verdict.rank, -min((state.r2 for state in own), default=0.0)
 
 
-def _say(found: Discovery, states: Sequence[str], onward: bool) -> Discovery:
+def _say(found: Discovery, states: Sequence[str]) -> Discovery:
     """Say, and keep in the record, that the data made the order 2."""
-    why = _explain(states, onward)
-    words = dict.fromkeys(states, f" {why}")
-    return with_words(found, words, order_why=why)
+    words = dict.fromkeys(states, f" {explain_order(states)}")
+    return with_words(found, words, order_by_data=list(states))
 
 
-def _explain(states: Sequence[str], onward: bool) -> str:
-    """Say why equations are of second order though nobody asked for that."""
+def explain_order(states: Sequence[str]) -> str:
+    """Say why equations are of second order though nobody asked for that.
+
+    Parameters
+    ----------
+    states : whose equations are.
+
+    >>> explain_order(["x", "y"])[:46]
+    'x and y come back to the same values with othe'
+    """
     names, one = " and ".join(states), len(states) == 1
-    seen = f"{names} come{'s' * one} back to the same values with other slopes, which no equations "
-    seen += "of first order in these columns do."
-    if onward:
-        seen = f"{names} never comes back, and no equation of first order was a law."
-    return f"{seen} So the order is 2; order=1 (--order 1) sets it back."
+    return (
+        f"{names} come{'s' * one} back to the same values with other slopes, which no equations of "
+        "first order in these columns do. So the order is 2; order=1 (--order 1) sets it back."
+    )
