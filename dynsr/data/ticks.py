@@ -25,8 +25,8 @@ def spread_ticks(t: np.ndarray, states: Sequence[np.ndarray]) -> np.ndarray | No
     of the times before and after than to their own mean, and than to a distance from it
     that is the same at all times, as of several runs. Replicates do neither.
 
-    >>> t = np.arange(0.0, 12.0, 0.25)
-    >>> spread_ticks(np.floor(t), [np.exp(-0.4 * t)])[:4].round(2)
+    >>> t = np.arange(0.0, 24.0, 0.25)
+    >>> spread_ticks(np.floor(t), [np.exp(-0.1 * t)])[:4].round(2)
     array([0.  , 0.25, 0.5 , 0.75])
     """
     steps = np.diff(t)
