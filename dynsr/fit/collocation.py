@@ -846,9 +846,9 @@ class Collocation:
         """
         return self._evidence_at(states, constants, self._last).evidence
 
+    @np.errstate(all="ignore")
     def _evidence_at(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed:
-        with np.errstate(all="ignore"):
-            point = self._linearise(states, constants)
+        point = self._linearise(states, constants)
         count, step = point.defects.size, math.sqrt(self.settings.difference)
         shares = 1.0, 1 + step
         first, more = (_log_det(self._gather(point, states, weight * one)) for one in shares)
@@ -859,6 +859,8 @@ class Collocation:
         left = weight * float(np.vdot(point.defects, point.defects))
         price = self._price_of(weight, determined)
         evidence = self._cost(states, constants, weight) + volume + price
+        if not math.isfinite(evidence + left):
+            raise LinAlgError
         return _Weighed(
             weight, states, constants, evidence, volume + price, left, determined, price
         )
