@@ -177,35 +177,41 @@ def _cell(cell: Any) -> Any:
 
 def load_parquet(path: Path, decimal: str | None = None) -> Columns:
     """Load the columns of a Parquet file."""
-    need("pyarrow", "tables", f"reading {path.name!r}")
-    import pandas
-    import pyarrow.parquet
 
-    try:
+    def read() -> Any:
+        import pandas
+        import pyarrow.parquet
+
         meta = pyarrow.parquet.ParquetFile(path).metadata
         # Runs of one value need no room in the file.
         check_size(path, 8 * meta.num_rows * meta.num_columns)
         check_size(path, sum(meta.row_group(j).total_byte_size for j in range(meta.num_row_groups)))
-        frame = pandas.read_parquet(path)
-    except InputError:
-        raise
-    except Exception as error:  # pyarrow raises a family of its own for damaged files
-        raise unreadable(path, "Parquet file", error) from None
-    return load_frame(frame, path.name, decimal)
+        return pandas.read_parquet(path)
+
+    return _load_arrow(path, "Parquet file", read, decimal)
 
 
 def load_feather(path: Path, decimal: str | None = None) -> Columns:
     """Load the columns of a Feather file."""
-    need("pyarrow", "tables", f"reading {path.name!r}")
-    import pandas
 
-    try:
+    def read() -> Any:
+        import pandas
+
         check_size(path, path.stat().st_size)
-        frame = pandas.read_feather(path)
+        return pandas.read_feather(path)
+
+    return _load_arrow(path, "Feather file", read, decimal)
+
+
+def _load_arrow(path: Path, what: str, read: Callable[[], Any], decimal: str | None) -> Columns:
+    """Load the columns of the frame that pyarrow reads."""
+    need("pyarrow", "tables", f"reading {path.name!r}")
+    try:
+        frame = read()
     except InputError:
         raise
     except Exception as error:  # pyarrow raises a family of its own for damaged files
-        raise unreadable(path, "Feather file", error) from None
+        raise unreadable(path, what, error) from None
     return load_frame(frame, path.name, decimal)
 
 
