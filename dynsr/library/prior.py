@@ -359,12 +359,16 @@ class Prior:
     def driven_bits(self) -> float:
         """Bits of an equation that contains the time, among all equations."""
         timed = sum(c for role, c in self.counts["role"].items() if role.startswith("time "))
-        return math.log2(sum(self.counts["terms"].values()) / max(timed, _MORE))
+        return self._bits_of(timed)
 
     @cached_property
     def loose_bits(self) -> float:
         """Bits of a system that does not hold exactly: of all equations, not one does not."""
-        return math.log2(sum(self.counts["terms"].values()) / _MORE)
+        return self._bits_of(0)
+
+    def _bits_of(self, equations: int) -> float:
+        """Bits of being one of so many, among all equations."""
+        return math.log2(sum(self.counts["terms"].values()) / max(equations, _MORE))
 
     def _says(self, question: str, yes: bool) -> float:
         return self._choices[question].bits("yes" if yes else "no", ("no", "yes"))
