@@ -9,6 +9,7 @@ from command_line import run as run_command
 
 import dynsr
 from dynsr.data import read_trajectories, take_trajectories
+from dynsr.data.levels import find_levels
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.methods import RationalSearch
 
@@ -991,6 +992,14 @@ def test_what_moves_between_its_rests_is_a_state(make):
     run = one({"t": t, "x": x, "y": t**2}, states=["x", "y"])
     table = read_trajectories({"t": t, "x": x, "y": t**2})
     assert table.trajectories[0].states == run.states
+
+
+def test_few_rows_that_happen_to_look_like_levels_are_a_state():
+    """Of short random walks one in 200 at most is taken for a switch that was measured."""
+    walks = np.random.default_rng(0).normal(size=(1000, 12)).cumsum(axis=1)
+    assert sum(find_levels([walk]) is not None for walk in walks) <= 5
+    switch = np.repeat([0.0, 5.0], 6) + np.random.default_rng(0).normal(0, 0.05, 12)
+    assert find_levels([switch]) is not None
 
 
 @pytest.mark.parametrize(("name", "bits", "step"), [("millis", 16, 1000), ("micros", 32, 10**8)])

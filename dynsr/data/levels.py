@@ -20,11 +20,14 @@ class LevelSettings:
         which is 1 for noise alone and near 0 for what drifts.
     rest : rows of a rest; shorter ones are on the way between two, of which there are no more.
     gaussian : median size of a step of noise over its standard deviation.
+    bits : what levels must say of the column beyond what a mean or a random walk says, in bits; few
+        rows of chance look like levels else.
     """
 
     white: float = 0.5
     rest: int = 4
     gaussian: float = 0.6745
+    bits: float = 10.0
 
 
 _SETTINGS = LevelSettings()
@@ -77,6 +80,8 @@ def find_levels(
     levels = _join(values, rests, reach)
     if len(np.unique(levels[counts[rests] >= settings.rest])) < 2:
         return None
+    if _saved(values, levels, np.concatenate(steps)) < settings.bits:
+        return None
     noise = float(np.sqrt(np.sum((values - levels) ** 2) / max(len(values) - len(counts), 1)))
     ends = np.cumsum([len(x) for x in own])[:-1]
     return [_put(p, part) for p, part in zip(pieces, np.split(levels, ends), strict=True)], noise
@@ -91,6 +96,17 @@ def _join(values: np.ndarray, rests: np.ndarray, reach: float) -> np.ndarray:
     level[order] = np.cumsum(np.append(0, np.diff(means[order]) > reach))
     sums, rows = np.bincount(level, means * counts), np.bincount(level, counts)
     return np.asarray((sums / rows)[level][rests])
+
+
+def _saved(values: np.ndarray, levels: np.ndarray, steps: np.ndarray) -> float:
+    """Give by how many bits levels are shorter than one mean and than a random walk.
+
+    Levels are numbers to the accuracy of their rows, and a row for each step between them.
+    """
+    rows, place = len(values), np.log2(len(values))
+    other = min(np.var(values), np.mean(steps**2))
+    spent = place * (np.sum(np.diff(levels) != 0) + (len(np.unique(levels)) - 1) / 2)
+    return float(rows / 2 * np.log2(other / np.mean((values - levels) ** 2)) - spent)
 
 
 def _put(piece: np.ndarray, values: np.ndarray) -> np.ndarray:
