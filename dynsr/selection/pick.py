@@ -318,9 +318,11 @@ def _rank(pool: list[Candidate], samples: Samples, noise: Noise) -> list[Candida
 
 
 def trivial_candidates(samples: Samples) -> list[Candidate]:
-    """Give 0, the mean slope and every column as candidates: q' = v is found without a search."""
-    exprs = [sympy.S.Zero, sympy.Float(float(np.mean(samples.y)))]
-    exprs += [sympy.Symbol(name) for name in samples.names]
+    """Give 0, every column and the mean slope as candidates: q' = v is found without a search.
+
+    The mean comes last: of formulas that are equal along the data it alone has a constant.
+    """
+    exprs = [sympy.S.Zero, *map(sympy.Symbol, samples.names), sympy.Float(float(samples.y.mean()))]
     return [score_candidate(expr, samples, TRIVIAL) for expr in exprs]
 
 
