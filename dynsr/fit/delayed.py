@@ -130,8 +130,9 @@ class DelayedMesh(Mesh):
 
     @cached_property
     def follows(self) -> np.ndarray:
-        """(n,) whether a row is no mere history."""
-        found: np.ndarray = self.t - self.t[self.firsts] >= self.begin
+        """(n,) whether a row is no mere history, give or take the rounding of its time."""
+        since, rounding = self.t - self.t[self.firsts], 8 * np.finfo(float).eps
+        found: np.ndarray = since >= self.begin - rounding * np.abs(self.t).max()
         return found
 
     @cached_property
