@@ -347,6 +347,7 @@ def test_doses_that_are_kept_back_leave_no_law(tmp_path):
     data, _ = write_subjects(tmp_path)
     found = dynsr.discover(data, preset="quick", jobs=1)
     assert found.verdict.level == "not found"
+    assert "the data need no term of its equation" in found.verdict.states["conc"].reason
 
 
 def test_doses_become_rows_of_the_data(tmp_path):

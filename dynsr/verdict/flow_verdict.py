@@ -491,13 +491,14 @@ class _Bench:
             return replace(found, reason=lacking + self._because(state, cause))
         assert evidence is not None
         doubts = self._doubts(place, state, followed, evidence, found)
-        if not expr.free_symbols and doubts:
-            said = f"{state} moves, and a constant slope does not reproduce it."
+        explained = self._leaves_noise(place, evidence, found, rows)
+        idle = self._idle(expr, found, explained)
+        if doubts and idle:
+            said = f"{state} moves, and {idle}."
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
             how = _UNSEEN if hidden[place] else follows_to(r2) + self._while(followed)
             said = f"{how}, but {'; '.join(doubts)}."
-            explained = self._leaves_noise(place, evidence, found, rows)
             because = self._because(state, cause, explained)
             return replace(found, level=APPROXIMATION, reason=said + because)
         praise = self._praise(place, noise, followed)
@@ -627,6 +628,21 @@ class _Bench:
             return "integrated, the equations diverge from the data."
         if r2 < least_r2(self.noise[place], self.settings):
             return f"integrated, the equations do not reproduce the data (R2 {r2:.2g})."
+        return ""
+
+    def _idle(self, expr: sympy.Expr, found: StateVerdict, explained: bool) -> str:
+        """Say why an equation says nothing of a motion; nothing where it says something.
+
+        Parameters
+        ----------
+        expr, found : the equation of a state, and what is known of it.
+        explained : whether what it misses is noise.
+        """
+        if not expr.free_symbols:
+            return "a constant slope does not reproduce it"
+        terms = found.terms
+        if not explained and terms and all(t.ratio < self.settings.sure for t in terms):
+            return "the data need no term of its equation"
         return ""
 
     def _while(self, followed: Followed) -> str:
