@@ -5,7 +5,6 @@ import importlib
 import importlib.util
 import json
 import os
-import resource
 import shlex
 import signal
 import subprocess
@@ -414,18 +413,14 @@ def test_audit():
 
 @pytest.mark.slow
 def test_julia_without_julia_is_one_line():
-    """Asking for an engine that is absent takes one line, exit code 2 and under two seconds."""
+    """Asking for an engine that is absent gives one line and exit code 2, before any work."""
     if importlib.util.find_spec("juliacall"):
         pytest.skip("juliacall is installed here")
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     for words in (("generate", "lorenz"), ("discover", "--system", "lorenz"), ("audit",)):
         child = spawn(*words, "--engine", "julia")
         out, errors = child.communicate()
         assert child.returncode == 2 and out == "" and errors.count("\n") == 1
         assert f"run {say_install('julia')}" in errors
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    # The time of the processor, since the machine may have other things to do.
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 3 * 2.0
 
 
 def test_doctor():
