@@ -803,7 +803,8 @@ class Collocation:
             weight = one.weight * one.determined / one.left if one.left else math.inf
             if low is not None and not low.weight < weight < high.weight:
                 weight = math.sqrt(low.weight * high.weight)
-            if abs(math.log(weight / one.weight)) < 0.5:
+            # Where the data determine next to no defect, there is no weight to be sought.
+            if not 0 < weight < math.inf or abs(math.log(weight / one.weight)) < 0.5:
                 return
             near = one if low is None else low
             sought = self._weigh(near.states, near.constants, weight)
@@ -908,6 +909,7 @@ class Collocation:
                 break
         return states, constants
 
+    @np.errstate(all="ignore")
     def _step(
         self,
         gathered: _Gathered,
@@ -924,9 +926,8 @@ class Collocation:
         shift = np.zeros(0)
         if count:
             scale = np.sqrt(np.maximum(np.diag(centre), 1e-300))
-            with np.errstate(over="ignore", invalid="ignore"):
-                scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
-                shift = -np.linalg.solve(scaled, pull / scale) / scale
+            scaled = centre / np.outer(scale, scale) + damping * np.eye(count)
+            shift = -np.linalg.solve(scaled, pull / scale) / scale
             # A linear step says nothing of what is far away.
             shift = np.clip(shift, -reach, reach)
         if not np.all(np.isfinite(shift)):
