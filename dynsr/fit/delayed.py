@@ -131,7 +131,7 @@ class DelayedMesh(Mesh):
     @cached_property
     def follows(self) -> np.ndarray:
         """(n,) whether a row is no mere history, give or take the rounding of its time."""
-        since, rounding = self.t - self.t[self.firsts], 8 * np.finfo(float).eps
+        since, rounding = self.t - self.t[self.firsts], 4 * np.finfo(float).eps
         found: np.ndarray = since >= self.begin - rounding * np.abs(self.t).max()
         return found
 

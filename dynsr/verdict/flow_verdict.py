@@ -636,7 +636,7 @@ class _Bench:
         Parameters
         ----------
         expr, found : the equation of a state, and what is known of it.
-        explained : whether what it misses is noise.
+        explained : whether its residuals are noise.
         """
         if not expr.free_symbols:
             return "a constant slope does not reproduce it"
