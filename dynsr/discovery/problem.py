@@ -727,8 +727,8 @@ class Problem:
     def settle(self, explored: Sequence[Found]) -> SystemChoice | None:
         """Give the best system of these alone where other methods could not do better; else None.
 
-        They cannot where it leaves nothing but noise, or where noise makes slopes too unsure; nor
-        where exact states confirm it, which had looked noisy.
+        They go by slopes, which noise makes unsure. Of data that may be exact, such as those of a
+        loose solver, they see more where the system leaves more than noise.
         """
         data = self.measurements
         assert data is not None
@@ -736,7 +736,6 @@ class Problem:
         if not all(pools.values()):
             return None
         exprs = self._with_known({state: pool[0] for state, pool in pools.items()})
-        comparison = self.settings.selection.comparison
         choice, cut = finish_by(
             self.until("searches"),
             lambda: self.compare(exprs, pools),
@@ -748,9 +747,8 @@ class Problem:
         fit = choice.fit
         if fit is not None and may_be_exact(fit, data) and self._confirmed(loosen_all(fit.exprs)):
             return SystemChoice(self.confirmed[-1].exprs)
-        if data.noise_share > comparison.doubtful or choice.explains(comparison):
-            return choice
-        return None
+        noisy = fit is not None and not may_be_exact(fit, data)
+        return choice if noisy or choice.explains(self.settings.selection.comparison) else None
 
     def compare(
         self, picked: Mapping[str, sympy.Expr], pools: Mapping[str, Sequence[sympy.Expr]]

@@ -78,7 +78,6 @@ class ComparisonSettings:
     together : the best of them that enter whole systems.
     behind : bits that they may take more than the best of them.
     near : the same, once a system leaves nothing but noise.
-    doubtful : noise, as a share of the spread, above which slopes are of no use to other methods.
     apart : rms difference of two equations, as a share of the slopes' spread, from which on one
         must be distinguished from the other: a formula that is 1 % off is another law.
     pieces : pieces of a run that are integrated where the whole cannot be.
@@ -108,7 +107,6 @@ class ComparisonSettings:
     together: int = 20
     behind: float = 40.0
     near: float = 12.0
-    doubtful: float = 0.02
     apart: float = 0.01
     pieces: int = 10
     reproduces: float = 0.9

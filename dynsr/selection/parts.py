@@ -31,7 +31,7 @@ PARTS: Mapping[str, str] = {
     "whole-polynomials": "polynomials of exact rows far apart",
     "approximations": "sums that keep closer to the data where no law is found",
     "belief": "noise is believed to be as little as a system leaves",
-    "methods": "the other methods where the search along the states leaves more than noise",
+    "methods": "the other methods where no equations of exact data are found without them",
     "bits-simple": "bits saved by simple numbers",
     "bits-shared": "bits saved by constants that two equations share",
 }
