@@ -80,7 +80,7 @@ def find_levels(
     levels = _join(values, rests, reach)
     if len(np.unique(levels[counts[rests] >= settings.rest])) < 2:
         return None
-    if _saved(values, levels, np.concatenate(steps)) < settings.bits:
+    if _saved(values, levels, every) < settings.bits:
         return None
     noise = float(np.sqrt(np.sum((values - levels) ** 2) / max(len(values) - len(counts), 1)))
     ends = np.cumsum([len(x) for x in own])[:-1]
@@ -98,13 +98,14 @@ def _join(values: np.ndarray, rests: np.ndarray, reach: float) -> np.ndarray:
     return np.asarray((sums / rows)[level][rests])
 
 
-def _saved(values: np.ndarray, levels: np.ndarray, steps: np.ndarray) -> float:
+def _saved(values: np.ndarray, levels: np.ndarray, sizes: np.ndarray) -> float:
     """Give by how many bits levels are shorter than one mean and than a random walk.
 
-    Levels are numbers to the accuracy of their rows, and a row for each step between them.
+    Levels are numbers to the accuracy of their rows, and a row for each step between them. Steps
+    from row to row have ``sizes``.
     """
     rows, place = len(values), np.log2(len(values))
-    other = min(np.var(values), np.mean(steps**2))
+    other = min(np.var(values), np.mean(sizes**2))
     spent = place * (np.sum(np.diff(levels) != 0) + (len(np.unique(levels)) - 1) / 2)
     return float(rows / 2 * np.log2(other / np.mean((values - levels) ** 2)) - spent)
 

@@ -745,10 +745,13 @@ class Problem:
             self.cut.append("comparison")
             return choice if choice.fit is not None else None
         fit = choice.fit
-        if fit is not None and may_be_exact(fit, data) and self._confirmed(loosen_all(fit.exprs)):
+        if fit is None:
+            return None
+        if not may_be_exact(fit, data):
+            return choice
+        if self._confirmed(loosen_all(fit.exprs)):
             return SystemChoice(self.confirmed[-1].exprs)
-        noisy = fit is not None and not may_be_exact(fit, data)
-        return choice if noisy or choice.explains(self.settings.selection.comparison) else None
+        return choice if choice.explains(self.settings.selection.comparison) else None
 
     def compare(
         self, picked: Mapping[str, sympy.Expr], pools: Mapping[str, Sequence[sympy.Expr]]

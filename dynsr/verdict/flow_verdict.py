@@ -67,6 +67,7 @@ from dynsr.verdict.levels import (
     least_r2,
     likely_cause,
     most_by_chance,
+    open_terms,
     percent,
     round_off,
     summarise,
@@ -490,10 +491,9 @@ class _Bench:
         if lacking:
             return replace(found, reason=lacking + self._because(state, cause))
         assert evidence is not None
-        doubts = self._doubts(place, state, followed, evidence, found)
         explained = self._leaves_noise(place, evidence, found, rows)
-        idle = self._idle(expr, found, explained)
-        if doubts and idle:
+        doubts = self._doubts(place, state, followed, evidence, found, explained)
+        if doubts and (idle := self._idle(expr, found, explained)):
             said = f"{state} moves, and {idle}."
             return replace(found, reason=said + self._because(state, cause))
         if doubts:
@@ -641,7 +641,7 @@ class _Bench:
         if not expr.free_symbols:
             return "a constant slope does not reproduce it"
         terms = found.terms
-        if not explained and terms and all(t.ratio < self.settings.sure for t in terms):
+        if not explained and terms and len(open_terms(terms, self.settings)) == len(terms):
             return "the data need no term of its equation"
         return ""
 
@@ -655,6 +655,7 @@ class _Bench:
         followed: Followed,
         evidence: _Evidence,
         found: StateVerdict,
+        explained: bool,
     ) -> list[str]:
         """Give what keeps an equation that follows the data from being a law."""
         settings, doubts = self.settings, []
@@ -666,8 +667,7 @@ class _Bench:
                 "its columns satisfy a relation along the data, so that other forms are equal "
                 "there; a run from another start decides"
             )
-        rows = self._rows(followed, place)
-        if not self._leaves_noise(place, evidence, found, rows):
+        if not explained:
             doubts.append(f"the residuals are not noise{_where(followed, place)}")
         share = found.forecast
         # The errors of a solver add up over the forecast; they are no chance.
@@ -681,6 +681,7 @@ class _Bench:
             doubts.append(f"{near[0].equation} fits them better")
         elif near:
             doubts.append(f"the data cannot distinguish it from {near[0].equation}")
+        rows = self._rows(followed, place)
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts

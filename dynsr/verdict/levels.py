@@ -261,9 +261,19 @@ def most_by_chance(count: int) -> float:
     return 2 + 4 * math.sqrt(2 / max(count, 1))
 
 
+def open_terms(terms: Sequence[TermCertainty], settings: VerdictSettings) -> list[TermCertainty]:
+    """Give the terms that the data may do without.
+
+    Parameters
+    ----------
+    terms, settings : how sure each is, and the numbers that decide.
+    """
+    return [term for term in terms if term.ratio < settings.sure]
+
+
 def doubt_terms(terms: Sequence[TermCertainty], settings: VerdictSettings) -> list[str]:
     """Say which terms the data leave open; nothing where there are none."""
-    unsure = list(dict.fromkeys(t.term for t in terms if t.ratio < settings.sure))
+    unsure = list(dict.fromkeys(t.term for t in open_terms(terms, settings)))
     some = unsure if len(unsure) <= _NAMED else [*unsure[: _NAMED - 1], "others"]
     return [f"the data leave it open whether it needs {join_words(some)}"] if some else []
 
