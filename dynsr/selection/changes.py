@@ -12,6 +12,7 @@ from scipy.linalg import LinAlgError
 from dynsr.expression import compile_columns
 from dynsr.fit import (
     Probes,
+    shift_bits,
     without_flat_line,
 )
 from dynsr.selection.comparison import (
@@ -45,11 +46,19 @@ def least_sure(fit: SystemFit) -> np.ndarray:
     return np.argsort(ratios, kind="stable")
 
 
-def drop_least(fit: SystemFit, state: str) -> sympy.Expr | None:
-    """Give an equation without its least sure constant; None where nothing can go."""
+def drop_least(fit: SystemFit, state: str, most: float = math.inf) -> sympy.Expr | None:
+    """Give an equation without its least sure constant; None where nothing can go.
+
+    Parameters
+    ----------
+    fit, state : the system, and whose equation it is.
+    most : bits that the data are expected to lose by it (Wald), at most.
+    """
     owners, values = owners_of(fit.exprs), fit.fit.constants
     for index in least_sure(fit):
-        if owners[index] == state:
+        with np.errstate(all="ignore"):
+            far = shift_bits(values[index], fit.fit.errors[index]) > most
+        if owners[index] == state and not far:
             lost = without_constant(fit.exprs[state], values[index])
             if lost is not None and lost != 0:
                 return lost
@@ -98,7 +107,8 @@ def _shorter(
     yield _with_shorter_line(comparison, fit, state)
     yield _round_powers(fit.exprs[state])
     yield _without_one(fit, state)
-    yield drop_least(fit, state)
+    # What would miss by far is not fitted.
+    yield drop_least(fit, state, comparison.settings.behind)
 
 
 def _round_powers(expr: sympy.Expr) -> sympy.Expr | None:
