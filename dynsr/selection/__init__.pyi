@@ -1,4 +1,5 @@
 from .approximations import Approximation, ApproximationSettings, MeasuredRuns, find_approximations
+from .changes import prune
 from .comparison import (
     ComparisonSettings,
     SystemComparison,
@@ -105,6 +106,7 @@ __all__ = [
     "noise_shown",
     "pick_equation",
     "products",
+    "prune",
     "rank_by_length",
     "term_bits",
     "trivial_candidates",

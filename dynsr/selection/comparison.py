@@ -342,9 +342,6 @@ class SystemComparison:
         shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
         saved = np.maximum(simple, shared)
         told = shortened_bits(fit.information, fit.errors, scales, fit.constants, saved)
-        squares = np.maximum(fit.mean_squares, FLOOR)
-        missed = residual_bits(squares, self.mesh.rows, self.mesh.known)
-        missed += fit.volume / (2 * math.log(2))
         least = self.structure(fit.exprs) + told
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
@@ -356,7 +353,18 @@ class SystemComparison:
             less += float(np.sum(simplicity_bits(tie.constants, tie.errors)))
             said = self.structure({**fit.exprs, tie.state: tie.expr})
             least = min(least, said + few - less + tie.loss)
-        return missed + least
+        return self.missed_bits(fit) + least
+
+    def missed_bits(self, fit: CollocationFit) -> float:
+        """Bits of the residuals, and of defects that a fit leaves.
+
+        Parameters
+        ----------
+        fit : the fit.
+        """
+        squares = np.maximum(fit.mean_squares, FLOOR)
+        missed = residual_bits(squares, self.mesh.rows, self.mesh.known)
+        return missed + fit.volume / (2 * math.log(2))
 
     def structure(self, exprs: Equations) -> float:
         """Bits of equations without their constants: by the textbooks, and the user's own.

@@ -46,7 +46,7 @@ from dynsr.verdict.following import open_constants
 
 TIME = sympy.Symbol("t")
 # What changes along a record, such as a temperature, is an input that nobody measured.
-_UNMEASURED = sympy.Symbol("unmeasured")
+UNMEASURED = sympy.Symbol("unmeasured")
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,6 @@ class DriftSettings:
     beam : sums of each length that are grown further.
     fitted : likely formulas of each kind that are fitted, at most.
     margin : bits that lines may expect of one more than of the equation: they are rough.
-    rounds : steps of a fit at most.
     exact : share of their size by which slopes of one exact function may differ.
     """
 
@@ -77,7 +76,6 @@ class DriftSettings:
     beam: int = 30
     fitted: int = 4
     margin: float = 5.0
-    rounds: int = 8
     exact: float = 1e-5
 
 
@@ -185,7 +183,7 @@ class TermsInTime:
     @cached_property
     def structure(self) -> np.ndarray:
         """(p,) bits of each, without those of constants."""
-        driven = (e.xreplace({TIME: _UNMEASURED}) for e in self.terms)
+        driven = (e.xreplace({TIME: UNMEASURED}) for e in self.terms)
         return np.array([term_bits(e, self.place, Written()) for e in driven])
 
     def costs(self, rows: float) -> np.ndarray:
@@ -352,8 +350,8 @@ def place_among(state: str, columns: Mapping[str, np.ndarray]) -> Place:
     """
     names = tuple(name for name in columns if name != "t")
     turning = find_turning(names, (columns[name] for name in names))
-    driven = (*names, _UNMEASURED.name) if "t" in columns else names
-    return Place(state, names, driven, (*turning, _UNMEASURED.name))
+    driven = (*names, UNMEASURED.name) if "t" in columns else names
+    return Place(state, names, driven, (*turning, UNMEASURED.name))
 
 
 def formula_bits(expr: sympy.Expr, rows: float, place: Place) -> float:
@@ -363,9 +361,9 @@ def formula_bits(expr: sympy.Expr, rows: float, place: Place) -> float:
     ----------
     expr, rows, place : the formula, the rows, and where it is.
     """
-    loose = with_floats(expr).xreplace({TIME: _UNMEASURED})
+    loose = with_floats(expr).xreplace({TIME: UNMEASURED})
     written = structure_of({place.state: loose}, place.columns, place.states, place.angles)
-    written += textbooks().driven_bits * (_UNMEASURED in loose.free_symbols)
+    written += textbooks().driven_bits * (UNMEASURED in loose.free_symbols)
     return written + len(open_constants({"": expr})[1]) * constant_bits(rows)
 
 
@@ -396,7 +394,7 @@ def drift_of_rows(
     "its constants change along the record: x's coefficient from 2 to 2.98"
     """
     columns, n = samples.timed, len(samples)
-    own = _slopes_by_constants(expr, columns)[0]
+    own = slopes_by_constants(expr, columns)[0]
     misses = samples.y - np.broadcast_to(evaluate(expr, columns), n)
     if not (np.all(np.isfinite(own)) and np.all(np.isfinite(misses))):
         return None
@@ -422,7 +420,7 @@ def drift_of_rows(
     return Drift(best, bits, said, is_timed(best, expr))
 
 
-def _slopes_by_constants(
+def slopes_by_constants(
     expr: sympy.Expr, columns: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, list[bool]]:
     """(n, q) slopes of a formula by its constants, and whether each belongs to the time."""
@@ -440,7 +438,7 @@ def _told_by_size(expr: sympy.Expr, samples: Samples) -> float:
     Chance that grows along the record pulls them more than its mean size says: the share is that of
     the Wald statistics with the covariance of White (1980) and with that of one size, 1 at most.
     """
-    slopes, timed = _slopes_by_constants(expr, samples.columns)
+    slopes, timed = slopes_by_constants(expr, samples.columns)
     chosen = np.flatnonzero(timed)
     if not len(chosen) or not np.all(np.isfinite(slopes)):
         return 1.0

@@ -519,7 +519,7 @@ class _Bench:
         doubtful = {s for s, own in states.items() if own.level != LAW}
         lawful: set[str] = set()
         if doubtful & set(drifts):
-            lawful = self._are_laws(drifts, followed)
+            lawful = self._are_laws(drifts)
         found = dict(states)
         # What is followed beside an equation that drifts is none the worse for that.
         told_of = [f"{s}: {d.said}." for s, d in drifts.items() if d.timed and s in lawful]
@@ -555,18 +555,14 @@ class _Bench:
         found: dict[str, Drift | None] = {}
         noisy = [s for s, exact in zip(self.equations, self.clean, strict=True) if not exact]
         if followed.finite:
-            # What was never measured is known along the equations alone.
-            seen = {s for s in weak if any(len(run.own_rows(s)) for run in self.runs)}
-            found |= self._along(followed).look(asked & set(noisy), seen)
+            found |= self._along.look(asked & set(noisy))
         found |= {s: self._drift_of_law(s) for s in asked - weak - set(noisy)}
         found |= {s: self._drift_of_slopes(s) for s in weak - set(noisy)}
         return {s: drift for s, drift in found.items() if drift is not None}
 
-    def _along(self, followed: Followed) -> Along:
-        settings = self.settings
-        return Along(
-            self.equations, followed, self.course, settings.windows, settings.drift, self.fixed
-        )
+    @cached_property
+    def _along(self) -> Along:
+        return Along(self.equations, self.course, self.settings.drift, self.fixed)
 
     def _drift_of_slopes(self, state: str) -> Drift | None:
         """Give the formula with the time that the slopes of clean data follow."""
@@ -586,11 +582,11 @@ class _Bench:
         )
         return same_in_time(state, expr, rows, self.settings.drift)
 
-    def _are_laws(self, drifts: Mapping[str, Drift], followed: Followed) -> set[str]:
+    def _are_laws(self, drifts: Mapping[str, Drift]) -> set[str]:
         """Name the states whose equation would be a law if these were the equations."""
         changed = {**self.equations, **{s: drift.expr for s, drift in drifts.items()}}
         # The other equations had been fitted beside one that is wrong.
-        changed = self._along(followed).refit(changed)
+        changed = self._along.refit(changed)
         opened, places = open_constants(changed, self.fixed)
         other = replace(self, equations=changed, opened=opened, places=places)
         again = other.follow_longest()
