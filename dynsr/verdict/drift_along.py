@@ -31,7 +31,7 @@ from dynsr.verdict.drift import (
     say,
     slopes_by_constants,
 )
-from dynsr.verdict.following import Course
+from dynsr.verdict.following import LEAST_SQUARE, Course
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,14 @@ class Along:
     course : the trajectories.
     settings : which terms are tried.
     fixed : terms whose factors are known.
+    exact : states without noise, whose errors are at most those of the trajectories.
     """
 
     equations: Mapping[str, sympy.Expr]
     course: Course
     settings: DriftSettings = DRIFT
     fixed: Collection[sympy.Expr] = ()
+    exact: Collection[str] = ()
 
     def look(self, states: Collection[str]) -> dict[str, Drift]:
         """Give for states the formula that takes fewer bits than the equation, where one does.
@@ -97,7 +99,9 @@ class Along:
         columns = [runs[0].index(state) for state in course.states]
         for own, told in zip(noise, course.noise, strict=True):
             own[:, columns] = told
-        return SystemComparison(replace(data, sums=noise).mesh(course.states))
+        mesh = replace(data, sums=noise).mesh(course.states)
+        known = mesh.known | np.isin(mesh.states, list(self.exact))
+        return SystemComparison(replace(mesh, known=known))
 
     def _open(self, equations: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give equations with free constants and the column in the place of the time."""
@@ -145,13 +149,14 @@ class Along:
         columns.pop(UNMEASURED.name)
         library = TermsInTime.of(state, own, columns, self.settings)
         design, slopes = library.design(columns), slopes_by_constants(own, columns)[0]
-        rows = [evidence.mapped(values.T).T for values in (design, slopes)]
+        views = [evidence.mapped(values.T).T for values in (design, slopes)]
         # What is left whatever an equation is.
         target = np.append(evidence.y, np.sqrt(evidence.beside))
         there = np.broadcast_to(evaluate(own, columns), evidence.points.shape[1])
         misses = target - np.append(evidence.mapped(there), 0.0)
-        whole = [np.vstack([one, np.zeros(one.shape[1])]) for one in rows]
-        lines = Lines(misses, target, whole[1], whole[0], evidence.rows)
+        whole = [np.vstack([one, np.zeros(one.shape[1])]) for one in views]
+        rows = evidence.rows
+        lines = Lines(misses, target, whole[1], whole[0], rows, LEAST_SQUARE * rows)
         return [one.xreplace({TIME: UNMEASURED}) for one in lines.propose(own, library)]
 
     def _bits(self, fit: SystemFit) -> float:

@@ -562,7 +562,8 @@ class _Bench:
 
     @cached_property
     def _along(self) -> Along:
-        return Along(self.equations, self.course, self.settings.drift, self.fixed)
+        exact = [s for s, clean in zip(self.equations, self.clean, strict=True) if clean]
+        return Along(self.equations, self.course, self.settings.drift, self.fixed, exact)
 
     def _drift_of_slopes(self, state: str) -> Drift | None:
         """Give the formula with the time that the slopes of clean data follow."""
