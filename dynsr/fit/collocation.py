@@ -327,13 +327,15 @@ class _Gathered:
 
     ``band`` contains those of the states as LAPACK's pbtrf reads them, ``sides`` (n k, 1 + P) what
     they are pulled by, ``products`` (1 + P, 1 + P) the products of defects and their derivatives
-    by constants, ``squares`` the sum of squared residuals.
+    by constants, ``squares`` the sum of squared residuals. Where it is known, ``defects`` is what
+    the defects bring into the band with a weight of 1.
     """
 
     band: np.ndarray
     sides: np.ndarray
     products: np.ndarray
     squares: float
+    defects: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,12 +345,13 @@ class _Weighed:
     ``evidence`` is minus twice its logarithm, of which ``volume`` is the part of the states and of
     the ``price`` of the weight; ``left`` are the squared defects times their weight, and
     ``determined`` is the number of defects that the data determine: for the best weight they are
-    equal (MacKay 1992).
+    equal (MacKay 1992). ``point`` is the fit made linear.
     """
 
     weight: float
     states: np.ndarray
     constants: np.ndarray
+    point: _Point
     evidence: float
     volume: float
     left: float
@@ -677,7 +680,10 @@ class Collocation:
         """
         weight = self._last if at is None else at.weight
         try:
-            information = self.normal(states.T, constants, None, weight).information
+            if at is None:
+                information = self.normal(states.T, constants, None, weight).information
+            else:
+                information = self._normal(states, at.point, weight).information
         except (LinAlgError, ValueError):
             return None
         squares = np.sum(self._missed(states) ** 2, axis=1) + self._unresolved(states, constants)
@@ -774,14 +780,15 @@ class Collocation:
         begun : the weight of a like fit that these are from; 0 for curves of the data.
         """
         above = [weight for weight in self.settings.stiffness if weight > begun]
-        at, found = (states, self.constants), list[_Weighed]()
+        at: tuple[np.ndarray, np.ndarray, _Point | None] = (states, self.constants, None)
+        found = list[_Weighed]()
         for weight in [begun, *above] if begun else above:
             if (one := self._weigh(*at, weight)) is None:
                 break
             found.append(one)
             if one.falls:
                 break
-            at = one.states, one.constants
+            at = one.states, one.constants, one.point
         if found and not found[-1].holds:
             found += self._seek(found)
         if not found:
@@ -807,18 +814,20 @@ class Collocation:
             if not 0 < weight < math.inf or abs(math.log(weight / one.weight)) < 0.5:
                 return
             near = one if low is None else low
-            sought = self._weigh(near.states, near.constants, weight)
+            sought = self._weigh(near.states, near.constants, near.point, weight)
             if sought is None:
                 return
             yield sought
             one = sought
             low, high = (one, high) if one.holds else (low, one)
 
-    def _weigh(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed | None:
+    def _weigh(
+        self, states: np.ndarray, constants: np.ndarray, point: _Point | None, weight: float
+    ) -> _Weighed | None:
         """Fit at one weight; where it may grow, no further than to see that."""
         last, one = weight == self.settings.stiffness[-1], None
         for gain in [self.settings.gain] if last else [self.settings.early, self.settings.gain]:
-            moved = self._stage(states, constants, weight, None, gain)
+            moved = self._stage(states, constants, weight, None, gain, point)
             if moved is None:
                 return one
             states, constants = moved
@@ -829,6 +838,7 @@ class Collocation:
             # What is left may be how far the fit is from its end.
             if one.holds:
                 break
+            point = one.point
         return one
 
     def evidence(self, states: np.ndarray, constants: np.ndarray) -> float:
@@ -851,8 +861,12 @@ class Collocation:
     def _evidence_at(self, states: np.ndarray, constants: np.ndarray, weight: float) -> _Weighed:
         point = self._linearise(states, constants)
         count, step = point.defects.size, math.sqrt(self.settings.difference)
-        shares = 1.0, 1 + step
-        first, more = (_log_det(self._gather(point, states, weight * one)) for one in shares)
+        gathered = self._gather(point, states, weight)
+        if gathered.defects is None:
+            beyond = self._gather(point, states, weight * (1 + step)).band
+        else:
+            beyond = gathered.band + weight * step * gathered.defects
+        first, more = _log_det(gathered.band), _log_det(beyond)
         determined = max(count - (more - first) / math.log1p(step), np.finfo(float).tiny)
         # A density of the defect is one of the next state times how fast the defect moves with it.
         ends = np.linalg.slogdet(np.moveaxis(point.by_right, -1, 0))[1]
@@ -863,7 +877,7 @@ class Collocation:
         if not math.isfinite(evidence + left):
             raise LinAlgError
         return _Weighed(
-            weight, states, constants, evidence, volume + price, left, determined, price
+            weight, states, constants, point, evidence, volume + price, left, determined, price
         )
 
     def _price_of(self, weight: float, determined: float) -> float:
@@ -880,19 +894,25 @@ class Collocation:
         stiffness: float,
         ways: np.ndarray | None = None,
         gain: float | None = None,
+        point: _Point | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Levenberg and Marquardt's steps at one weight of the defects."""
+        """Levenberg and Marquardt's steps at one weight of the defects.
+
+        ``point`` is where they begin made linear, where that is known.
+        """
         gain = self.settings.gain if gain is None else gain
         cost, damping = self._cost(states, constants, stiffness), 1e-6
         if not np.isfinite(cost):
             return None
         for _ in range(self.settings.steps):
             before = cost
-            with np.errstate(all="ignore"):
-                point = self._linearise(states, constants)
+            if point is None:
+                with np.errstate(all="ignore"):
+                    point = self._linearise(states, constants)
             if not all(np.all(np.isfinite(a)) for a in (point.by_left, point.by_constant)):
                 break
             gathered, reach = self._gather(point, states, stiffness), self._reach(constants)
+            point = None
             while damping < 1e6:
                 try:
                     step = self._step(gathered, damping, reach, ways)
@@ -946,7 +966,7 @@ class Collocation:
         low, high, by_c, defects = point.by_left, point.by_right, point.by_constant, point.defects
         x, weights, _ = self.mesh.by_state
         own, squared, misses = np.arange(k), weights**2, self.mesh.seen(states) - x
-        diagonal, beside = np.zeros((k, k, n)), np.zeros((k, k, n))
+        diagonal, held, beside = np.zeros((3, k, k, n))
         pulled, squares = squared * misses, np.sum(squared * misses**2)
         if self.mesh.censored is not None:
             places = self.mesh.censored.places
@@ -957,9 +977,9 @@ class Collocation:
         else:
             diagonal += np.einsum("ca,cb,cn->abn", self.mesh.mix, self.mesh.mix, squared)
             pulled = self.mesh.mix.T @ pulled
-        diagonal[..., left] += stiffness * _products(low, low)
-        diagonal[..., right] += stiffness * _products(high, high)
-        beside[..., left] = stiffness * _products(low, high)
+        held[..., left] += _products(low, low)
+        held[..., right] += _products(high, high)
+        beside[..., left] = _products(low, high)
         # What the states are pulled by: their misses and defects, then each constant.
         pulls = np.concatenate([defects[:, None], by_c], axis=1)
         count = by_c.shape[1]
@@ -969,7 +989,9 @@ class Collocation:
         border[..., right] += stiffness * _products(high, pulls)
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
         flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
-        return _Gathered(_band(diagonal, beside), sides.T, stiffness * (flat @ flat.T), squares)
+        defects = _band(held, beside)
+        band = stiffness * defects + _band(diagonal, np.zeros_like(beside))
+        return _Gathered(band, sides.T, stiffness * (flat @ flat.T), squares, defects)
 
     @np.errstate(all="ignore")
     def _eliminate(
@@ -1015,8 +1037,10 @@ class Collocation:
         columns = np.ascontiguousarray(states.T)
         with np.errstate(all="ignore"):
             point = self._linearise(columns, constants, probes)
-        weight = self._last if stiffness is None else stiffness
-        return self._eliminate(self._gather(point, columns, weight), 0.0)[0]
+        return self._normal(columns, point, self._last if stiffness is None else stiffness)
+
+    def _normal(self, states: np.ndarray, point: _Point, weight: float) -> Linearised:
+        return self._eliminate(self._gather(point, states, weight), 0.0)[0]
 
     def points(self, states: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """(k + d, n + m) states and driven columns at the rows and in the middle of intervals."""
@@ -1027,9 +1051,9 @@ class Collocation:
         return np.concatenate([both, driven])
 
 
-def _log_det(gathered: _Gathered) -> float:
+def _log_det(band: np.ndarray) -> float:
     """Logarithm of the determinant of the normal equations of the states."""
-    factor, failed = lapack.dpbtrf(gathered.band)
+    factor, failed = lapack.dpbtrf(band)
     if failed:
         raise LinAlgError
     return 2 * float(np.sum(np.log(factor[-1])))
