@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy
@@ -233,6 +235,21 @@ def test_a_rate_that_grows_with_the_time_in_every_run_is_named():
     found = give_verdict(equations(x="-0.45*x"), runs, noise=noise)
     assert found.level != "law"
     assert "its constants change along the record: x's coefficient from -0." in found.reason
+
+
+@pytest.mark.parametrize("held", ["run", "formula", "both"])
+def test_a_drift_is_named_beside_an_input_of_any_name(held):
+    """An input called as dynsr calls the time is none, in a run or as a formula."""
+    run = integrate(
+        lambda t, x: [-0.5 * (1 + 0.05 * t) * x[0] + np.sin(2 * t)], [2.0], 20, 200, 0.01
+    )
+    if held != "formula":
+        column = np.sin(2 * run.t)[:, None]
+        run = replace(run, inputs=column, input_names=("unmeasured",))
+    inputs = {} if held == "run" else {"unmeasured": parse("sin(2*t)")}
+    found = give_verdict(equations(x="unmeasured - 0.7*x"), [run], inputs)
+    assert found.level != "law"
+    assert "change along the record: x's coefficient from -0.5" in found.reason
 
 
 @pytest.mark.slow

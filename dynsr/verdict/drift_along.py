@@ -92,9 +92,9 @@ class Along:
     @cached_property
     def _comparison(self) -> SystemComparison:
         """The trajectories with their noise, and with the time as one more column."""
-        course = self.course
-        runs = [_with_time(run) for run in course.runs]
-        data = Measurements.of(runs, {**course.inputs, UNMEASURED.name: TIME}, sum(map(len, runs)))
+        course, inputs = self.course, {**self.course.inputs, self._clock.name: TIME}
+        runs = [_with_inputs(run, inputs) for run in course.runs]
+        data = Measurements.of(runs, inputs, sum(map(len, runs)))
         noise = [np.array(own) for own in data.deviations]
         columns = [runs[0].index(state) for state in course.states]
         for own, told in zip(noise, course.noise, strict=True):
@@ -103,6 +103,14 @@ class Along:
         known = mesh.known | np.isin(mesh.states, list(self.exact))
         return SystemComparison(replace(mesh, known=known))
 
+    @cached_property
+    def _clock(self) -> sympy.Symbol:
+        """The column that is the time."""
+        name = UNMEASURED.name
+        while name in {*self.course.runs[0].names, *self.course.inputs}:
+            name += "_"
+        return sympy.Symbol(name)
+
     def _open(self, equations: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give equations with free constants and the column in the place of the time."""
         found = {}
@@ -110,7 +118,7 @@ class Along:
             terms = sympy.Add.make_args(expr)
             free = with_floats(sympy.Add(*(term for term in terms if term not in self._known)))
             known = (own for term, own in self._known.items() if term in terms)
-            found[state] = sympy.Add(free, *known).xreplace({TIME: UNMEASURED})
+            found[state] = sympy.Add(free, *known).xreplace({TIME: self._clock})
         return found
 
     @cached_property
@@ -123,7 +131,7 @@ class Along:
 
     def _close(self, fit: SystemFit) -> dict[str, sympy.Expr]:
         back = {own: term for term, own in self._known.items()}
-        return {s: e.xreplace(back).xreplace({UNMEASURED: TIME}) for s, e in fit.exprs.items()}
+        return {s: e.xreplace(back).xreplace({self._clock: TIME}) for s, e in fit.exprs.items()}
 
     def _best(self, state: str, now: SystemFit) -> SystemFit:
         """Give the system of the fewest bits among those with another equation of a state."""
@@ -145,8 +153,8 @@ class Along:
         if evidence is None:
             return []
         columns = dict(zip(names, evidence.points, strict=True))
-        own = own.xreplace({UNMEASURED: TIME})
-        columns.pop(UNMEASURED.name)
+        own = own.xreplace({self._clock: TIME})
+        columns.pop(self._clock.name)
         library = TermsInTime.of(state, own, columns, self.settings)
         design, slopes = library.design(columns), slopes_by_constants(own, columns)[0]
         views = [evidence.mapped(values.T).T for values in (design, slopes)]
@@ -157,11 +165,11 @@ class Along:
         whole = [np.vstack([one, np.zeros(one.shape[1])]) for one in views]
         rows = evidence.rows
         lines = Lines(misses, target, whole[1], whole[0], rows, LEAST_SQUARE * rows)
-        return [one.xreplace({TIME: UNMEASURED}) for one in lines.propose(own, library)]
+        return [one.xreplace({TIME: self._clock}) for one in lines.propose(own, library)]
 
     def _bits(self, fit: SystemFit) -> float:
         """Bits of a system, with those of what nobody measured."""
-        driven = any(UNMEASURED in expr.free_symbols for expr in fit.exprs.values())
+        driven = any(self._clock in expr.free_symbols for expr in fit.exprs.values())
         return fit.bits + textbooks().driven_bits * driven
 
     def _say(self, state: str, fit: SystemFit, now: SystemFit) -> Drift:
@@ -172,6 +180,9 @@ class Along:
         return Drift(expr, bits, say(state, expr, own, times, gain), is_timed(expr, own))
 
 
-def _with_time(run: Trajectory) -> Trajectory:
-    inputs = np.column_stack([run.inputs, run.t])
-    return replace(run, inputs=inputs, input_names=(*run.input_names, UNMEASURED.name))
+def _with_inputs(run: Trajectory, inputs: Mapping[str, sympy.Expr]) -> Trajectory:
+    """Give a run with a column for each input that it lacks."""
+    missing = {name: expr for name, expr in inputs.items() if name not in run.names}
+    more = [np.broadcast_to(evaluate(expr, {"t": run.t}), len(run)) for expr in missing.values()]
+    columns = np.column_stack([run.inputs, *more])
+    return replace(run, inputs=columns, input_names=(*run.input_names, *missing))
