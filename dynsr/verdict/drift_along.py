@@ -1,7 +1,7 @@
 """Drift of noisy data: formulas with the time in the place of one equation of a fitted system.
 
 The time is one more column of the system (:class:`dynsr.selection.SystemComparison`). What may
-stand in the place of an equation is proposed along the fitted states, with all the rest free, and
+be in the place of an equation is proposed along the fitted states, with all the rest free, and
 the most probable formulas are fitted and compared in bits, as all systems are.
 """
 
