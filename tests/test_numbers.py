@@ -7,7 +7,7 @@ PACKAGE = Path(__file__).parents[1] / "dynsr"
 ROOMS = ("selection", "discovery", "fit", "library", "verdict", "parameters")
 # What a formula holds anyway.
 PLAIN = {0, 1, 2, 3, 4, 0.5, 1e-300, 1e300}
-MOST = 329
+MOST = 325
 
 
 def is_number(node):
