@@ -18,7 +18,15 @@ from scipy.linalg import LinAlgError
 
 from dynsr.data import Samples
 from dynsr.expression import evaluate
-from dynsr.fit import FLOOR, Collocation, CollocationFit, Mesh, Probes, free_constants
+from dynsr.fit import (
+    FLOOR,
+    Collocation,
+    CollocationFit,
+    Mesh,
+    Probes,
+    free_constants,
+    precision_bits,
+)
 from dynsr.selection.subsets import SINGULAR, without
 
 
@@ -157,6 +165,11 @@ class Evidence:
     def mapped(self, values: np.ndarray) -> np.ndarray:
         """(..., r) what values (..., n) at the points are mapped to."""
         return np.asarray(values * self.maps if self.maps.ndim == 1 else values @ self.maps.T)
+
+    @property
+    def constant_bits(self) -> float:
+        """Bits of a constant: of what the whole is worth in the data, each has that precision."""
+        return float(precision_bits(np.array([[self.y @ self.y]]), np.ones(1)))
 
     def misses(self, left: np.ndarray | float) -> np.ndarray:
         """Bits of the residuals, where ``left`` is their sum of squares."""

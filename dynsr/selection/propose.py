@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from dynsr.expression import added_bits, bits_in_force
-from dynsr.fit import NOTHING_LEFT, one_of_each_shape, precision_bits
+from dynsr.fit import NOTHING_LEFT, one_of_each_shape
 from dynsr.library import (
     Library,
     LibrarySettings,
@@ -701,8 +701,7 @@ def propose(
     beside = evidence.names[len(names) :]
     library = Library.of(names, evidence.points, place.angles or (), own, kinds, beside)
     stands, prior, weighed = write_down(others), textbooks(), bits_in_force()
-    # Of what the whole slope is worth in the data, a constant has about that precision.
-    each = precision_bits(np.array([[evidence.y @ evidence.y]]), np.ones(1))
+    each = evidence.constant_bits
     costs = np.full(len(library.forms), np.inf)
     for i, (form, starts) in enumerate(zip(library.forms, library.starts, strict=True)):
         # To write a form in SymPy takes longer than all else here.

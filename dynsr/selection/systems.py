@@ -24,7 +24,7 @@ from dynsr.fit import (
     with_floats,
 )
 from dynsr.selection.alone import Alone, Leader, constants
-from dynsr.selection.changes import prune_each
+from dynsr.selection.changes import near_by, prune_each
 from dynsr.selection.comparison import (
     COMPARISON,
     ComparisonSettings,
@@ -333,15 +333,13 @@ def _climb(
     comparison: SystemComparison, fit: SystemFit, leaders: Mapping[str, Sequence[Leader]]
 ) -> SystemFit:
     """Put what leads alone in the place of an equation until none of it takes fewer bits."""
-    for number in range(comparison.settings.rounds):
-        # Where nothing but noise is left, what is worse alone is worse together.
-        settled = number > 1 or leaves_noise(fit, comparison.settings)
-        most = comparison.settings.near if settled else comparison.settings.behind
+    moves = comparison.settings.parts.has("move-leaders")
+    others = {s: [one.expr for one in pool] for s, pool in leaders.items() if moves}
+    for _ in range(comparison.settings.rounds):
         changes = [
-            (s, one.expr)
-            for s, pool in leaders.items()
-            for one in pool
-            if one.behind < most and comparison.settings.parts.has("move-leaders")
+            (state, expr)
+            for state, exprs in others.items()
+            for expr in near_by(comparison, fit, state, exprs)
         ]
         systems = [exprs for change in changes for exprs in comparison.changed(fit, *change)]
         fits = [comparison.fit(exprs, fit) for exprs in systems]
