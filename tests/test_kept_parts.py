@@ -194,7 +194,7 @@ def test_fits_of_whole_systems_are_made_once_however_often_a_run_is_cut(tmp_path
     run, asked = noisy_run(), {"jobs": 1, "seed": 2}
     whole = results_of(dynsr.discover(run, **asked, out=tmp_path / "whole"))
     usual = sorted(made)
-    assert {name for name, _ in usual} == {"system", "drift"}
+    assert {name for name, _ in usual} == {"system"}
     with monkeypatch.context() as patch:
         cut_after_each(patch, 20)
         made.clear()
