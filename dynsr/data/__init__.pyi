@@ -32,6 +32,7 @@ from .reading import (
     sample_input,
     split_held_back,
     take_trajectories,
+    with_drives,
     write_csv,
 )
 from .reading_sums import read_sums
@@ -168,6 +169,7 @@ __all__ = [
     "told_rows",
     "turns_back",
     "weak_form",
+    "with_drives",
     "within_limits",
     "write_bytes",
     "write_csv",

@@ -894,9 +894,7 @@ def take_trajectories(
             f"input {known[0]!r} is an expression in t, which says what it is between rows; "
             "leave it out of hold"
         )
-    return decide_hold(
-        [_with_drives(run, drives) for run in runs], in_formulas(hold, first)
-    ), drives
+    return decide_hold([with_drives(run, drives) for run in runs], in_formulas(hold, first)), drives
 
 
 def _sort_inputs(
@@ -1138,8 +1136,15 @@ def sample_input(name: str, value: Any, t: np.ndarray) -> np.ndarray:
     return found
 
 
-def _with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajectory:
-    """Add the values of inputs that are expressions to the columns."""
+def with_drives(run: Trajectory, drives: Mapping[str, sympy.Expr]) -> Trajectory:
+    """Add the values of inputs that are expressions to the columns.
+
+    Parameters
+    ----------
+    run, drives : the run, and input name -> expression in ``t``; columns that are there stay.
+
+    Raises InputError where a name is that of a state.
+    """
     new = {name: expr for name, expr in drives.items() if name not in run.input_names}
     clash = [name for name in new if name in run.states]
     if clash:

@@ -990,7 +990,7 @@ class Collocation:
         sides = np.ascontiguousarray(border.transpose(1, 2, 0)).reshape(1 + count, n * k)
         flat = pulls.transpose(1, 0, 2).reshape(1 + count, -1)
         defects = _band(held, beside)
-        band = stiffness * defects + _band(diagonal, np.zeros_like(beside))
+        band = stiffness * defects + _band(diagonal)
         return _Gathered(band, sides.T, stiffness * (flat @ flat.T), squares, defects)
 
     @np.errstate(all="ignore")
@@ -1634,7 +1634,7 @@ def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.einsum("abm,acm->bcm", left, right)
 
 
-def _band(diagonal: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def _band(diagonal: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
     """Write blocks (k, k, n) on and right of the diagonal in the upper form of LAPACK's pbtrf."""
     k, _, n = diagonal.shape
     width = 2 * k - 1
@@ -1646,7 +1646,7 @@ def _band(diagonal: np.ndarray, beside: np.ndarray) -> np.ndarray:
         for j in range(k):
             # Column (row + 1, j), row (row, i): k + j - i to the right.
             offset = k + j - i
-            if offset <= width:
+            if beside is not None and offset <= width:
                 band[1:, j, width - offset] = beside[i, j, :-1]
     return band.reshape(n * k, width + 1).T
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import sympy
@@ -12,7 +12,6 @@ from scipy.linalg import LinAlgError
 from dynsr.expression import compile_columns
 from dynsr.fit import (
     Probes,
-    orthogonal,
     shift_bits,
     without_flat_line,
 )
@@ -22,46 +21,12 @@ from dynsr.selection.comparison import (
     SystemFit,
     owners_of,
 )
-from dynsr.selection.evidence import Evidence
 from dynsr.selection.shapes import bodies_of
 
 # Share of the slopes' spread by which a term with a shorter line may be off before it is fitted.
 _LIKE = 0.3
 # Standard errors from 1 at which a factor may be none, and their share of it at most.
 _LIKE_ONE, _KNOWN = 2.0, 0.3
-
-
-def near_by(
-    comparison: SystemComparison, fit: SystemFit, state: str, exprs: Sequence[sympy.Expr]
-) -> list[sympy.Expr]:
-    """Give the equations for a state that are expected to take few bits more than its own one.
-
-    Their terms are fitted in its place, with all the rest of the system free; the constants inside
-    stay as they are.
-
-    Parameters
-    ----------
-    comparison, fit : the system.
-    state, exprs : whose equation they may be, and the equations.
-    """
-    parts, nodes = {state: (1.0, fit.exprs[state])}, comparison.settings.proposals.nodes
-    view = Evidence.in_place(fit.fit, fit.problem, parts, comparison.columns, nodes, None)
-    if view is None:
-        return list(exprs)
-    expected = []
-    for expr in (fit.exprs[state], *exprs):
-        bodies = bodies_of(expr)
-        with np.errstate(all="ignore"):
-            rows = view.mapped(compile_columns(bodies, view.names)(*view.points))
-        if not np.all(np.isfinite(rows)):
-            expected.append(math.inf)
-            continue
-        basis = orthogonal(rows.T)
-        rest = view.y - basis @ (basis.T @ view.y)
-        said = comparison.structure({**fit.exprs, state: expr}) + view.constant_bits * len(bodies)
-        expected.append(float(view.misses(float(rest @ rest))) + said)
-    most = expected[0] + comparison.settings.near
-    return [expr for expr, bits in zip(exprs, expected[1:], strict=True) if bits < most]
 
 
 def without_constant(expr: sympy.Expr, value: float) -> sympy.Expr | None:

@@ -427,6 +427,18 @@ class SystemComparison:
             evidence, place, allow, offered, others, settings, functions=functions, near=near
         )
 
+    def evidence(
+        self, fit: SystemFit, parts: Mapping[str, tuple[float, sympy.Expr]]
+    ) -> Evidence | None:
+        """Give what is to replace parts of a system, with all the rest free; None for no such view.
+
+        Parameters
+        ----------
+        fit, parts : the system and its parts, as :meth:`Evidence.in_place` takes them.
+        """
+        nodes = self.settings.proposals.nodes
+        return Evidence.in_place(fit.fit, fit.problem, parts, self.columns, nodes, None)
+
     def _has_pole(self, fit: CollocationFit) -> bool:
         """Whether a denominator passes through 0 in the range of the columns."""
         return any(has_pole(expr, self.mesh.columns) for expr in fit.exprs.values())

@@ -17,7 +17,6 @@ import sympy
 from dynsr.fit import skeleton
 from dynsr.selection.changes import prune_each, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
-from dynsr.selection.evidence import Evidence
 from dynsr.selection.permuted import exchanged
 from dynsr.selection.rates import fluxes
 
@@ -39,9 +38,7 @@ def _propose(
     near: sympy.Expr | None = None,
 ) -> list[sympy.Expr]:
     """Give the sums that are expected to replace parts of the system best."""
-    settings = comparison.settings
-    nodes = settings.proposals.nodes
-    evidence = Evidence.in_place(fit.fit, fit.problem, parts, comparison.columns, nodes, None)
+    evidence = comparison.evidence(fit, parts)
     if evidence is None:
         return []
     return comparison.propose(next(iter(parts)), evidence, tuple(others.items()), near=near)

@@ -16,15 +16,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy
 
-from dynsr.expression import ByText, evaluate
+from dynsr.expression import ByText, compile_columns, evaluate
 from dynsr.fit import (
     Measurements,
     one_of_each_shape,
+    orthogonal,
     skeleton,
     with_floats,
 )
 from dynsr.selection.alone import Alone, Leader, constants
-from dynsr.selection.changes import near_by, prune_each
+from dynsr.selection.changes import prune_each
 from dynsr.selection.comparison import (
     COMPARISON,
     ComparisonSettings,
@@ -39,7 +40,7 @@ from dynsr.selection.couplings import try_couplings
 from dynsr.selection.integration import integrate
 from dynsr.selection.polynomials import thinned_polynomials, whole_polynomials
 from dynsr.selection.renewal import renew
-from dynsr.selection.shapes import bare_terms, is_plain, rounded
+from dynsr.selection.shapes import bare_terms, bodies_of, is_plain, rounded
 
 # How much further apart different functions are where columns take any of their values.
 _ASIDE = 5.0
@@ -339,7 +340,7 @@ def _climb(
         changes = [
             (state, expr)
             for state, exprs in others.items()
-            for expr in near_by(comparison, fit, state, exprs)
+            for expr in _near_by(comparison, fit, state, exprs)
         ]
         systems = [exprs for change in changes for exprs in comparison.changed(fit, *change)]
         fits = [comparison.fit(exprs, fit) for exprs in systems]
@@ -348,6 +349,33 @@ def _climb(
             break
         fit = best
     return fit
+
+
+def _near_by(
+    comparison: SystemComparison, fit: SystemFit, state: str, exprs: Sequence[sympy.Expr]
+) -> list[sympy.Expr]:
+    """Give the equations for a state that are expected to take few bits more than its own one.
+
+    Their terms are fitted in its place, with all the rest of the system free; the constants inside
+    stay as they are.
+    """
+    view = comparison.evidence(fit, {state: (1.0, fit.exprs[state])})
+    if view is None:
+        return list(exprs)
+    expected = []
+    for expr in (fit.exprs[state], *exprs):
+        bodies = bodies_of(expr)
+        with np.errstate(all="ignore"):
+            rows = view.mapped(compile_columns(bodies, view.names)(*view.points))
+        if not np.all(np.isfinite(rows)):
+            expected.append(math.inf)
+            continue
+        basis = orthogonal(rows.T)
+        rest = view.y - basis @ (basis.T @ view.y)
+        said = comparison.structure({**fit.exprs, state: expr}) + view.constant_bits * len(bodies)
+        expected.append(float(view.misses(float(rest @ rest))) + said)
+    most = expected[0] + comparison.settings.near
+    return [expr for expr, bits in zip(exprs, expected[1:], strict=True) if bits < most]
 
 
 def _closest(

@@ -60,7 +60,7 @@ def compare_alternatives(
 
     The bits are those of the residuals in the linearised fit, of the formula, and of its constants.
     """
-    columns = columns_along(followed.shootings, followed.misses)
+    columns = _columns_along(followed.shootings, followed.misses)
     chosen = [
         (state, expr)
         for state in equations
@@ -83,7 +83,7 @@ def compare_alternatives(
     return {state: sorted(pairs, key=lambda pair: pair[1]) for state, pairs in found.items()}
 
 
-def columns_along(
+def _columns_along(
     shootings: Sequence[Shooting], misses: Sequence[np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Give states, driven columns and times along fitted windows, (n,) each, by name.

@@ -423,7 +423,12 @@ def drift_of_rows(
 def slopes_by_constants(
     expr: sympy.Expr, columns: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, list[bool]]:
-    """(n, q) slopes of a formula by its constants, and whether each belongs to the time."""
+    """(n, q) slopes of a formula by its constants, and whether each belongs to the time.
+
+    Parameters
+    ----------
+    expr, columns : the formula, and name -> (n,) values of its columns, of which ``t`` is the time.
+    """
     opened, places = open_constants({"": expr})
     put = {symbol: sympy.Float(place.value) for symbol, place in places.items()}
     by = [differentiate(opened[""], symbol).xreplace(put) for symbol in places]

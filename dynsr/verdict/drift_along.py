@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 import sympy
 
-from dynsr.data import Trajectory
+from dynsr.data import with_drives
 from dynsr.expression import evaluate
 from dynsr.fit import Measurements, same_form, with_floats
 from dynsr.library import textbooks
-from dynsr.selection import Evidence, SystemComparison, SystemFit, prune
+from dynsr.selection import SystemComparison, SystemFit, prune
 from dynsr.verdict.drift import (
     DRIFT,
     TIME,
@@ -93,7 +93,7 @@ class Along:
     def _comparison(self) -> SystemComparison:
         """The trajectories with their noise, and with the time as one more column."""
         course, inputs = self.course, {**self.course.inputs, self._clock.name: TIME}
-        runs = [_with_inputs(run, inputs) for run in course.runs]
+        runs = [with_drives(run, inputs) for run in course.runs]
         data = Measurements.of(runs, inputs, sum(map(len, runs)))
         noise = [np.array(own) for own in data.deviations]
         columns = [runs[0].index(state) for state in course.states]
@@ -135,37 +135,35 @@ class Along:
 
     def _best(self, state: str, now: SystemFit) -> SystemFit:
         """Give the system of the fewest bits among those with another equation of a state."""
-        own, best = now.exprs[state], now
+        best = now
         for expr in self._propose(state, now):
-            fit = None
-            if not same_form(expr, own):
-                fit = self._comparison.fit_again({**now.exprs, state: expr})
+            fit = self._comparison.fit_again({**now.exprs, state: expr})
             if fit is not None:
                 best = min(best, prune(self._comparison, fit, state), key=self._bits)
         return best
 
     def _propose(self, state: str, now: SystemFit) -> list[sympy.Expr]:
         """Give the formulas that are likely to do better than the equation of a state."""
-        comparison, own = self._comparison, now.exprs[state]
-        names, nodes = comparison.columns, comparison.settings.proposals.nodes
-        parts = {state: (1.0, own)}
-        evidence = Evidence.in_place(now.fit, now.problem, parts, names, nodes, None)
+        comparison = self._comparison
+        evidence = comparison.evidence(now, {state: (1.0, now.exprs[state])})
         if evidence is None:
             return []
-        columns = dict(zip(names, evidence.points, strict=True))
-        own = own.xreplace({self._clock: TIME})
-        columns.pop(self._clock.name)
+        columns = dict(zip(comparison.columns, evidence.points, strict=True))
+        del columns[self._clock.name]
+        own = now.exprs[state].xreplace({self._clock: TIME})
         library = TermsInTime.of(state, own, columns, self.settings)
-        design, slopes = library.design(columns), slopes_by_constants(own, columns)[0]
-        views = [evidence.mapped(values.T).T for values in (design, slopes)]
-        # What is left whatever an equation is.
-        target = np.append(evidence.y, np.sqrt(evidence.beside))
+        terms, slopes = library.design(columns), slopes_by_constants(own, columns)[0]
         there = np.broadcast_to(evaluate(own, columns), evidence.points.shape[1])
-        misses = target - np.append(evidence.mapped(there), 0.0)
-        whole = [np.vstack([one, np.zeros(one.shape[1])]) for one in views]
+        # What is left whatever an equation is has a row of its own.
+        target = np.append(evidence.y, np.sqrt(evidence.beside))
+        given, by, design = (
+            np.append(evidence.mapped(values.T).T, np.zeros((1, *values.shape[1:])), axis=0)
+            for values in (there, slopes, terms)
+        )
         rows = evidence.rows
-        lines = Lines(misses, target, whole[1], whole[0], rows, LEAST_SQUARE * rows)
-        return [one.xreplace({TIME: self._clock}) for one in lines.propose(own, library)]
+        lines = Lines(target - given, target, by, design, rows, LEAST_SQUARE * rows)
+        others = lines.propose(own, library)
+        return [one.xreplace({TIME: self._clock}) for one in others if not same_form(one, own)]
 
     def _bits(self, fit: SystemFit) -> float:
         """Bits of a system, with those of what nobody measured."""
@@ -178,11 +176,3 @@ class Along:
         gain = self._comparison.missed_bits(now.fit) - self._comparison.missed_bits(fit.fit)
         bits = self._bits(fit) - self._bits(now)
         return Drift(expr, bits, say(state, expr, own, times, gain), is_timed(expr, own))
-
-
-def _with_inputs(run: Trajectory, inputs: Mapping[str, sympy.Expr]) -> Trajectory:
-    """Give a run with a column for each input that it lacks."""
-    missing = {name: expr for name, expr in inputs.items() if name not in run.names}
-    more = [np.broadcast_to(evaluate(expr, {"t": run.t}), len(run)) for expr in missing.values()]
-    columns = np.column_stack([run.inputs, *more])
-    return replace(run, inputs=columns, input_names=(*run.input_names, *missing))
