@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import curve_fit
+from scipy.optimize import curve_fit, minimize_scalar
+from scipy.stats import cauchy
 
 from dynsr.data.samples import Samples
 from dynsr.expression.parsing import parse
 from dynsr.fit.constants import Template, refit
+from dynsr.fit.linear import cauchy_bits, cauchy_scale
 
 
 def _samples_of(x: np.ndarray, y: np.ndarray) -> Samples:
@@ -80,3 +82,27 @@ def test_parameters_that_are_not_free_stay():
     got = template.fit(template.values, free)
     assert got[~free] == 1.25
     assert template.covariance(got, free).shape == (1, 1)
+
+
+def test_the_scale_and_the_bits_of_uneven_errors_are_those_of_a_cauchy_law():
+    """SciPy's density has its maximum at it and gives the bits; the scale has a lower limit."""
+    values = np.random.default_rng(4).standard_cauchy(300) * 0.02
+    expected = minimize_scalar(lambda log: -np.sum(cauchy.logpdf(values, scale=np.exp(log))))
+    found = cauchy_scale(values, 0.0)
+    assert np.log(found) == pytest.approx(expected.x, abs=1e-5)
+    said = -np.mean(cauchy.logpdf(values, scale=found)) / np.log(2)
+    assert cauchy_bits(values, found) == pytest.approx(said, rel=1e-12)
+    assert cauchy_scale(values, 0.5) == 0.5
+
+
+def test_uneven_errors_far_above_the_unit_do_not_move_constants():
+    """Most errors are small, some are a hundred times as large; the unit is below all of them."""
+    rng = np.random.default_rng(2)
+    x = np.linspace(0.1, 3.0, 200)
+    error = 1e-3 * rng.normal(size=200) * np.where(rng.random(200) < 0.2, 100.0, 1.0)
+    samples = _samples_of(x, 1.5 * x - 0.8 * x**2 + error)
+    robust = _fitted("1.3*x - 0.7*x^2", samples, unit=1e-7)
+    plain = _fitted("1.3*x - 0.7*x^2", samples)
+    missed = [np.max(np.abs(np.sort(own) - [-0.8, 1.5])) for own in (robust, plain)]
+    assert missed[0] < 1e-3
+    assert missed[0] < missed[1] / 5

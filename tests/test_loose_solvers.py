@@ -7,9 +7,17 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import dynsr
-from dynsr.data import Trajectory, diagnose
-from dynsr.expression import parse
-from dynsr.fit import Collocation, CollocationSettings, Measurements, Mesh, with_floats
+from dynsr.data import Trajectory, choose_samples, diagnose, measurement_noise
+from dynsr.expression import evaluate, parse
+from dynsr.fit import (
+    Collocation,
+    CollocationSettings,
+    Measurements,
+    Mesh,
+    skeleton,
+    with_floats,
+)
+from dynsr.selection import look
 from dynsr.selection.comparison import COMPARISON, SystemComparison, leaves_noise
 from dynsr.verdict import give_verdict
 
@@ -144,6 +152,57 @@ def test_rows_between_the_steps_of_a_loose_solver_are_diagnosed():
     for plain in (2 * t, np.round(t), np.where(t < 5, t, 5.0), np.where(t < 5, 0.0, np.sin(t))):
         run = Trajectory(t, np.column_stack([plain, strict.x[:, 0]]), ("x", "q"))
         assert "interpolated" not in {cause.kind for cause in diagnose(run, "x")}
+
+
+def of_scipy(slopes, start, end, rows, names):
+    """Give a system as scipy makes it between its steps, at its default tolerance."""
+    t = np.linspace(0, end, rows)
+    return Trajectory(t, solve_ivp(slopes, (0, end), start, t_eval=t).y.T, names)
+
+
+DUFFING = lambda t, x: [x[1], x[0] - x[0] ** 3 - 0.1 * x[1]]  # noqa: E731
+RELAXING = lambda t, x: [x[1], 1.5 * (1 - x[0] ** 2) * x[1] - x[0]]  # noqa: E731
+INFECTING = lambda t, x: [-0.5 * x[0] * x[1], 0.5 * x[0] * x[1] - 0.1 * x[1]]  # noqa: E731
+BY_SCIPY = {
+    "duffing": (DUFFING, [1.5, 0.0], 40, ("x", "v"), "v", "-0.1*v + x - x^3"),
+    "van der pol": (RELAXING, [2.0, 0.0], 30, ("x", "y"), "y", "1.5*y - 1.5*x^2*y - x"),
+    "infections": (INFECTING, [0.99, 0.01], 60, ("S", "I"), "I", "0.5*I*S - 0.1*I"),
+}
+
+
+@pytest.mark.parametrize("rows", [400, 1000])
+@pytest.mark.parametrize("name", BY_SCIPY)
+def test_the_error_that_a_solver_leaves_in_slopes_is_seen_in_the_rows(name, rows):
+    """It is what the slopes miss of the law, to a factor of three; the states have no noise."""
+    slopes, start, end, names, state, law = BY_SCIPY[name]
+    run = of_scipy(slopes, start, end, rows, names)
+    samples = choose_samples([run], state)
+    missed = np.abs(samples.y - evaluate(parse(law), samples.columns))
+    assert 1 / 3 < samples.noise / np.median(missed) < 3
+    assert np.all(measurement_noise(run) == 0)
+
+
+@pytest.mark.parametrize("name", BY_SCIPY)
+def test_the_first_look_sees_the_law_behind_the_errors_of_a_solver(name):
+    """It misses most rows by little and some by much, and nothing else is probable."""
+    slopes, start, end, names, state, law = BY_SCIPY[name]
+    seen = look(choose_samples([of_scipy(slopes, start, end, 400, names)], state))
+    found = with_floats(seen.candidates[0].expr)
+    assert skeleton(found) == skeleton(with_floats(parse(law)))
+    assert seen.final
+    numbers = [
+        sorted(float(n) for n in e.atoms(sympy.Float)) for e in (found, with_floats(parse(law)))
+    ]
+    np.testing.assert_allclose(*numbers, rtol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_relaxing_oscillator_of_a_loose_solver_is_found():
+    """Of rows without noise the constants come to be the simple numbers of the law."""
+    slopes, start, end, names, _, law = BY_SCIPY["van der pol"]
+    found = dynsr.discover([of_scipy(slopes, start, end, 400, names)], jobs=1)
+    assert sympy.expand(sympy.nsimplify(found.equations["y"] - sympy.nsimplify(parse(law)))) == 0
+    assert found.equations["x"] == sympy.Symbol("y")
 
 
 def test_a_law_missed_by_the_errors_of_a_solver_says_so():

@@ -21,6 +21,7 @@ from dynsr.data.noise_model import (
 from dynsr.data.observation import at_own_rows
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, smooth_column
+from dynsr.data.solver_rows import find_solver_rows
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -59,8 +60,6 @@ class DiagnosisSettings:
     forced : share of the differences that a sinusoid in time explains at least, where time is
         named as the cause.
     nearest_part : share of the pairs, the nearest ones, that such a wave is sought in.
-    interpolated : share of the fifth differences that are 0, and of the spread that the others
-        reach, from which on rows were interpolated with errors.
     reversal : share of the range that a lone column goes and comes back, at least, where it
         cannot be the only state.
     """
@@ -84,7 +83,6 @@ class DiagnosisSettings:
     neighbours_within: float = 0.4
     forced: float = 0.9
     nearest_part: float = 0.3
-    interpolated: tuple[float, float] = (0.1, 1e-4)
     reversal: float = 0.2
 
 
@@ -183,28 +181,21 @@ def _of_solver(
 ) -> Iterator[Cause]:
     """Say that rows are polynomials of degree 4 at most between others that are further apart.
 
-    Solvers of medium order give such rows between their steps (Shampine 1986), and splines do.
+    Solvers of medium order give such rows between their steps, and splines do.
     """
     even = [run for run in runs if _are_even([run]) and len(run) >= settings.few_rows]
     if not even:
         return
-    columns = [_column(run, target) for run in even]
-    size = max(float(np.max(np.abs(x))) for x in columns)
-    third = np.concatenate([np.abs(np.diff(x, 3))[1:-1] for x in columns])
-    fifth = np.concatenate([np.abs(np.diff(x, 5)) for x in columns])
-    # A fifth difference is a sum of rows, 32 of them with their signs; twice that is rounding.
-    rounding = 64 * np.finfo(float).eps * size
-    share = float(np.mean((fifth <= rounding) & (third > 4 * rounding)))
-    reached = float(fifth.max()) / scale_of(np.concatenate(columns))
-    least, jump = settings.interpolated
-    if share >= least and reached >= jump:
+    step = float(np.median(np.diff(even[0].t)))
+    found = find_solver_rows([_column(run, target) for run in even], step)
+    if found is not None and found.interpolated:
         yield Cause(
             "interpolated",
-            f"{target} was interpolated: {100 * share:.0f} % of its rows lie on polynomials "
+            f"{target} was interpolated: {100 * found.share:.0f} % of its rows lie on polynomials "
             "of degree 4 or less, which jump where they meet. Solvers such as solve_ivp make such "
             "rows between their steps, with the errors of these: solve again with rtol=1e-9 and "
             "atol=1e-12. Of measured data, give the rows that were measured.",
-            {"share of rows": share, "jump": reached},
+            {"share of rows": found.share, "error of slopes": found.relative},
         )
 
 

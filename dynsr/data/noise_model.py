@@ -15,6 +15,7 @@ import numpy as np
 from dynsr.data.forcing import find_forced
 from dynsr.data.lines import last_digit
 from dynsr.data.samples import barycentric_weights
+from dynsr.data.solver_rows import solver_errors
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -101,7 +102,8 @@ def measurement_noise(trajectory: Trajectory) -> np.ndarray:
     follow, so the smallest over orders 2 to 8 is taken. Rows that repeat one value, as at rest
     below the last digit, say nothing of it. Times may be uneven, and rows at which a
     state was not measured say nothing of it; NaN where that leaves fewer than 5. Kinks of
-    inputs are no noise. Errors that are known are taken as they are, by their mean square.
+    inputs and of a solver's steps are no noise. Errors that are known are taken as they are, by
+    their mean square.
 
     >>> t = np.linspace(0, 10, 500)
     >>> noisy = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, 500)
@@ -138,7 +140,8 @@ def _noise_between(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     for order in orders:
         misses = interpolation_residuals(t, x, order)
         found.append([_moving_scale(*pair, order) for pair in zip(misses.T, x.T, strict=True)])
-    return np.min(found, axis=0)
+    # Rows that a solver interpolated jump where its steps meet: that is no noise of theirs.
+    return np.where(solver_errors(t, x) > 0, 0.0, np.min(found, axis=0))
 
 
 def _moving_scale(misses: np.ndarray, x: np.ndarray, order: int) -> float:

@@ -32,6 +32,7 @@ from dynsr.data.smoothing import (
     estimate_noise,
     smooth_values,
 )
+from dynsr.data.solver_rows import solver_errors
 from dynsr.data.trajectory import Trajectory, as_floats
 from dynsr.data.weak import weak_slopes
 from dynsr.errors import InputError, need
@@ -536,7 +537,10 @@ def _choose(
     place = trajectory.index(state)
     x, sigma = trajectory.x[:, place], float(noise[place])
     if scheme == "auto":
-        return choose_scheme(trajectory.t, x, sigma, settings)
+        choice = choose_scheme(trajectory.t, x, sigma, settings)
+        return replace(
+            choice, noise=max(choice.noise, float(solver_errors(trajectory.t, x[:, None])[0]))
+        )
     return Choice(scheme, sigma / float(np.median(np.diff(trajectory.t))))
 
 

@@ -12,7 +12,7 @@ import sympy
 
 from dynsr.data import Samples
 from dynsr.expression import compile_numpy, differentiate
-from dynsr.fit.linear import ROUNDING, cauchy_weights, fit_columns
+from dynsr.fit.linear import ROUNDING, cauchy_scale, cauchy_weights, fit_columns
 
 # A residual that is not a finite number counts as this many times the size of the target.
 _PENALTY = 1e3
@@ -22,6 +22,8 @@ _MOST_PLAIN_STEPS = 60
 # in nats a row with a unit (all constants are then far within their errors), else relative.
 _SHARES = (1.0, 0.3, 0.1, 0.01)
 _GAIN, _PLAIN_GAIN = 1e-6, 1e-12
+# Share of a scale below which a smaller one is worth another fit.
+_LESS = 0.9
 
 
 def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
@@ -163,20 +165,23 @@ class Template:
         """Fit the ``free`` (k,) parameters, all by default, from ``values``; gives all values.
 
         Minimises the sum of squared residuals or, with a ``unit`` u in units of y, the Cauchy
-        loss sum_i log(1 + (r_i / u)^2), for which large errors among small ones count little. A
-        Cauchy loss whose unit is far below the residuals has a minimum at every sample, so the
-        unit comes down to the one asked for by tenths of the median residual.
+        loss sum_i log(1 + (r_i / s)^2), for which large errors among small ones count little. A
+        Cauchy loss whose scale s is far below the residuals has a minimum at every sample, so s is
+        the most probable scale of the residuals, and the unit is its lower limit.
         """
         chosen = np.ones(len(values), dtype=bool) if free is None else free
         if not chosen.any():
             return values
-        if unit is not None:
-            unit = max(unit, ROUNDING * self._size)
-            median = float(np.median(np.abs(self._tame(values))))
-            steps = math.ceil(math.log10(median / unit)) if median > 10 * unit else 0
-            for i in range(steps):
-                values = self._descend(values, chosen, median / 10**i)
-        return self._descend(values, chosen, unit)
+        if unit is None:
+            return self._descend(values, chosen, None)
+        unit = max(unit, ROUNDING * self._size)
+        scale = cauchy_scale(self._tame(values), unit)
+        for _ in range(_MOST_STEPS):
+            before, values = scale, self._descend(values, chosen, scale)
+            scale = cauchy_scale(self._tame(values), unit)
+            if not scale < _LESS * before:
+                break
+        return values
 
     def _descend(self, values: np.ndarray, free: np.ndarray, unit: float | None) -> np.ndarray:
         """Take reweighted Gauss-Newton steps, shortened until they gain.

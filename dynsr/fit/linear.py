@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 # Share of a size below which a number is rounding, of float64 or of a fit.
 ROUNDING = 1e-12
@@ -35,6 +36,41 @@ def cauchy_weights(residual: np.ndarray, unit: float | np.ndarray) -> np.ndarray
     array([1. , 0.5])
     """
     return np.asarray(1 / (1 + np.square(residual / unit)))
+
+
+def cauchy_scale(residual: np.ndarray, least: float) -> float:
+    """Scale s at which residuals (n,) are most probable for a Cauchy law, at least ``least``.
+
+    Half of the probability lies within one scale of 0. Where errors of very different sizes are
+    mixed, as those that a solver makes from step to step, it is about the median size; inf where a
+    residual is not finite.
+
+    >>> round(cauchy_scale(np.array([-3.0, -1.0, 1.0, 3.0]), 0.0), 2)
+    1.73
+    """
+    most, least = float(np.max(np.abs(residual))), max(least, float(np.finfo(float).tiny))
+
+    def above(log: float) -> float:
+        # The bits do not change with the scale where the weights are a half in the mean.
+        with np.errstate(over="ignore"):
+            return 0.5 - float(np.mean(cauchy_weights(residual, math.exp(log))))
+
+    if not math.isfinite(most):
+        return math.inf
+    if most <= least or above(math.log(least)) <= 0:
+        return least
+    return math.exp(brentq(above, math.log(least), math.log(most)))
+
+
+def cauchy_bits(residual: np.ndarray, scale: float) -> float:
+    """Mean bits of residuals (n,) in their own unit by a Cauchy law of a scale; inf for no numbers.
+
+    >>> round(cauchy_bits(np.array([1.0]), 1.0), 3)
+    2.651
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = float(np.mean(np.log2(1 + np.square(residual / scale))))
+    return math.log2(math.pi * scale) + mean if math.isfinite(mean) else math.inf
 
 
 def fit_linear(design: np.ndarray, z: np.ndarray, roots: np.ndarray) -> np.ndarray:

@@ -22,8 +22,11 @@ from dynsr.fit import (
     FIT,
     Candidate,
     FitSettings,
+    cauchy_bits,
+    cauchy_scale,
     constant_bits,
     free_constants,
+    independent_rows,
     loosen,
     one_of_each_shape,
     refit,
@@ -78,7 +81,9 @@ class LookSettings:
     within : residuals up to so many times that error count as that error.
     wild : share of the rows whose residuals may be more than ten times larger, where solvers and
         differences fail.
-    alike : residuals up to so many times the least of all are as good, where slopes are rough.
+    uneven : residuals up to so many times the error of rough slopes may be of a law: what a solver
+        leaves between its steps is not seen in differences.
+    doubt : share of the probability that all other formulas have at most where one is final.
     stands_out : how many times larger the residuals of every other choice of terms must be.
     proposals : of the sums of terms of the library, where slopes are exact.
     parts : which parts of the search take part.
@@ -92,7 +97,8 @@ class LookSettings:
     exact: float = 1e-4
     within: float = 3.0
     wild: float = 0.1
-    alike: float = 4.0
+    uneven: float = 10.0
+    doubt: float = 0.05
     stands_out: float = 30.0
     proposals: ProposalSettings = EXACT
     parts: Parts = Parts()
@@ -151,7 +157,8 @@ def look(
         seen = search.conclude(found)
         if _is_law(seen):
             return seen
-        return search.conclude(search.rare(found) if rare else search.proposed(found))
+        found = search.rare(found) if rare else search.proposed(found)
+        return search.conclude(found if search.within_errors(found) else search.weighted(found))
 
 
 def look_around(
@@ -203,6 +210,8 @@ class _Choice:
     expr, terms : the formula and its terms without constants.
     shape, constants : bits of its structure, and how many constants it has.
     miss, wild : the median miss, and that of the rows that are missed most.
+    scale, said : the most probable scale of a Cauchy law of the misses, and mean bits by it.
+    rows : misses that are independent of each other.
     """
 
     expr: sympy.Expr
@@ -211,6 +220,13 @@ class _Choice:
     constants: int
     miss: float
     wild: float
+    scale: float
+    said: float
+    rows: float
+
+    def bits(self, rows: float) -> float:
+        """Bits of the formula, of its constants and of so many independent misses."""
+        return rows * self.said + self.shape + self.constants * constant_bits(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,6 +328,35 @@ class _Search:
             )
         ]
 
+    def weighted(self, found: Sequence[_Choice]) -> list[_Choice]:
+        """Add sums that are proposed where the best one misses little, while that finds better.
+
+        A solver errs from step to step by amounts of very different sizes, and within one step
+        these depend on each other. The law misses most rows by little and a few by far.
+        """
+        found, gained = list(found), math.inf
+        while gained > 1:
+            best, rows = self._shortest(found)
+            view = self._weighted_by(best, rows)
+            sums = propose(view, self._place, self.limits.check, [], list(self.known.items()))
+            found += self.take(self.refitted(sums[: self.settings.kept]))
+            gained = best.bits(rows) - self._shortest(found)[0].bits(rows)
+        return found
+
+    def _weighted_by(self, best: _Choice, rows: float) -> Evidence:
+        """Weight the slopes by how probable they are where a formula is the law."""
+        places, few = self._thinned
+        left = self._left(best.expr)[places]
+        errors = np.hypot(left, best.scale) * self.size / self.trust[places]
+        view = Evidence.of_slopes(few, errors)
+        own = float(np.sum((self._sd[places] / errors) ** 2))
+        return replace(view, rows=rows, beside=own)
+
+    def _shortest(self, found: Iterable[_Choice]) -> tuple[_Choice, float]:
+        """Give the choice of the fewest bits, and the independent misses that these count."""
+        rows = min(found, key=lambda c: c.scale).rows
+        return min(found, key=lambda c: c.bits(rows)), rows
+
     def proposed(self, found: Sequence[_Choice]) -> list[_Choice]:
         """Add the sums of terms of the library that are expected to take the fewest bits.
 
@@ -350,20 +395,29 @@ class _Search:
 
     def take(self, exprs: Iterable[sympy.Expr]) -> Iterator[_Choice]:
         """Take formulas for what is chosen, where the user allows them."""
-        own, written = self.samples, write_down(self.known.items())
+        written = write_down(self.known.items())
         for expr in exprs:
             bodies = [term.as_coeff_Mul()[1] for term in sympy.Add.make_args(expr)]
             if not all(map(self.limits.allow, bodies)):
                 continue
-            misses = np.abs(own.y - evaluate(expr, own.columns)) * self.trust
+            left = self._left(expr)
+            misses, scale = np.abs(left), cauchy_scale(left, self.error / self.size)
             yield _Choice(
                 expr,
                 frozenset(read_equation(expr)),
                 self._length(expr, written),
                 len(free_constants(expr, "c")[1]),
-                float(np.median(misses)) / self.size,
-                float(np.quantile(misses, 1 - self.settings.wild)) / self.size,
+                float(np.median(misses)),
+                float(np.quantile(misses, 1 - self.settings.wild)),
+                scale,
+                cauchy_bits(left, scale),
+                float(independent_rows(left[:, None, None], 1.0)[0]),
             )
+
+    def _left(self, expr: sympy.Expr) -> np.ndarray:
+        """(n,) what a formula misses, in units of the slopes' size."""
+        own = self.samples
+        return np.asarray((own.y - evaluate(expr, own.columns)) * self.trust / self.size)
 
     def _cost(self, choice: _Choice) -> float:
         """Bits of a choice, its constants as they are fitted."""
@@ -435,28 +489,38 @@ class _Search:
         gap, size = np.abs(a - b)[finite], np.abs(a)[finite]
         return bool(finite.any() and np.median(gap) <= _SAME * np.median(size))
 
+    def within_errors(self, found: Sequence[_Choice]) -> list[_Choice]:
+        """Give the formulas that leave nothing but the error of the slopes."""
+        settings, good = self.settings, list[_Choice]()
+        for error in (self.error / self.size, max(self.error / self.size, _LOOSE)):
+            most = settings.within * error if error <= settings.exact else 0.0
+            good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
+        return good
+
     def conclude(self, choices: Sequence[_Choice]) -> Look:
         """Take the shortest formula with negligible residuals; say whether chance explains it."""
         if not choices:
             return Look()
         found = list(dict.fromkeys(choices))
-        settings = self.settings
-        good: list[_Choice] = []
-        for error in (self.error / self.size, max(self.error / self.size, _LOOSE)):
-            most = settings.within * error if error <= settings.exact else 0.0
-            good = good or [c for c in found if max(c.miss, 0.1 * c.wild) <= most]
+        settings, good = self.settings, self.within_errors(found)
         # One of many that are the same along the data gives way to what is alone there.
         settled = [c for c in good if not self._is_open(c)]
         if settled:
             found = [c for c in found if c in settled or c not in good]
             good = settled
-        # What rough slopes miss is the same for all that is near the law.
-        bound = settings.alike * min(c.miss for c in found)
-        near = good or [c for c in found if c.miss <= bound]
-        ranked = sorted(near, key=self._cost)
-        ranked += sorted((c for c in found if c not in near), key=lambda c: c.miss)
+        ranked = sorted(good, key=self._cost)
+        ranked += sorted((c for c in found if c not in good), key=lambda c: c.miss)
         exprs: list[sympy.Expr] = []
         final = False
+        if not good:
+            best, rows = self._shortest(found)
+            ranked = sorted(found, key=lambda c: c.bits(rows))
+            others = [c for c in ranked if not c.terms >= best.terms and not self._same(best, c)]
+            weight = sum(2.0 ** (best.bits(rows) - c.bits(rows)) for c in others)
+            explained = best.scale * self.size <= settings.uneven * self.error
+            rough = not self.is_exact and explained
+            ends = rough and settings.parts.has("end-look")
+            final = ends and weight <= settings.doubt and not self._is_open(best)
         if good:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
             most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
