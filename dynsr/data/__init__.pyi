@@ -39,6 +39,7 @@ from .reading_sums import read_sums
 from .samples import SCHEMES, Samples, join_samples, make_samples
 from .slopes import FEWEST_SMOOTH, SMOOTHERS, SlopeSettings, choose_samples, smooth_column
 from .smoothing import SmoothedTrajectory, estimate_noise, smooth
+from .solver_rows import solver_errors
 from .sums import MeasuredSum
 from .system import PAPER_SYSTEMS, SYSTEMS, System, find_system
 from .temporary import is_part, open_part, own_folder, remove_stale
@@ -163,6 +164,7 @@ __all__ = [
     "scale_of",
     "smooth",
     "smooth_column",
+    "solver_errors",
     "split_held_back",
     "split_volume",
     "take_trajectories",

@@ -22,6 +22,8 @@ _SEEN, _BULGE = 2.0, 8.0
 # Share of the rows on polynomials, and error of the slopes as a share of their size, from which on
 # rows count as interpolated.
 _LEAST, _ERROR = 0.1, 1e-5
+# Share of the largest difference below which others are rounding.
+_FAR_BELOW = 1e-6
 # Share of a step by which times may differ that are even.
 _EVEN = 1e-3
 
@@ -75,11 +77,12 @@ def find_solver_rows(columns: Sequence[np.ndarray], step: float) -> SolverRows |
     rounding = 64 * np.finfo(float).eps * max(float(np.max(np.abs(x))) for x in columns)
     inside = (fifth <= rounding) & (third > 4 * rounding)
     share = float(np.mean(inside))
-    if share == 1:
+    # What is far below the largest of them is rounding too, where polynomials are evaluated.
+    met = fifth > max(rounding, _FAR_BELOW * float(fifth.max()))
+    if not met.any():
         return SolverRows(share, 0.0, 0.0)
-    length = (_DEGREE + 1) * step / (1 - share)
-    bend = float(np.median(fifth[~inside])) / (_SEEN * step**2)
-    error = bend * length / _BULGE
+    length = (_DEGREE + 1) * step / float(np.mean(met))
+    error = float(np.median(fifth[met])) / (_SEEN * step**2) * length / _BULGE
     size = float(np.sqrt(np.mean(first**2))) / step
     return SolverRows(share, error, error / size if size else 0.0)
 

@@ -210,8 +210,8 @@ class _Choice:
     expr, terms : the formula and its terms without constants.
     shape, constants : bits of its structure, and how many constants it has.
     miss, wild : the median miss, and that of the rows that are missed most.
-    scale, said : the most probable scale of a Cauchy law of the misses, and mean bits by it.
-    rows : misses that are independent of each other.
+    scale, said : the most probable scale of a Cauchy law of the residuals, and mean bits by it.
+    rows : residuals that are independent of each other.
     """
 
     expr: sympy.Expr
@@ -225,7 +225,7 @@ class _Choice:
     rows: float
 
     def bits(self, rows: float) -> float:
-        """Bits of the formula, of its constants and of so many independent misses."""
+        """Bits of the formula, of its constants and of so many independent residuals."""
         return rows * self.said + self.shape + self.constants * constant_bits(rows)
 
 
@@ -353,7 +353,7 @@ class _Search:
         return replace(view, rows=rows, beside=own)
 
     def _shortest(self, found: Iterable[_Choice]) -> tuple[_Choice, float]:
-        """Give the choice of the fewest bits, and the independent misses that these count."""
+        """Give the choice of the fewest bits, and the independent residuals that these count."""
         rows = min(found, key=lambda c: c.scale).rows
         return min(found, key=lambda c: c.bits(rows)), rows
 

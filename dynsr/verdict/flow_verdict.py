@@ -16,7 +16,16 @@ import numpy as np
 import sympy
 from scipy.special import chdtrc
 
-from dynsr.data import Samples, Trajectory, carry, choose_samples, diagnose, is_still, robust_scale
+from dynsr.data import (
+    Samples,
+    Trajectory,
+    carry,
+    choose_samples,
+    diagnose,
+    is_still,
+    robust_scale,
+    solver_errors,
+)
 from dynsr.errors import InputError, one_line
 from dynsr.expression import evaluate, has_pole, shown
 from dynsr.fit import (
@@ -204,8 +213,9 @@ class _Bench:
     clean: np.ndarray
     settings: VerdictSettings
     runs: Sequence[Trajectory]
-    fixed: Collection[sympy.Expr] = ()
-    by_run: Collection[str] = ()
+    fixed: Collection[sympy.Expr]
+    by_run: Collection[str]
+    off: np.ndarray
 
     @classmethod
     def of(
@@ -233,7 +243,10 @@ class _Bench:
         squares = np.sum(np.where(there, every, 0.0) ** 2, axis=0)
         typical = np.sqrt(squares / np.maximum(np.sum(there, axis=0), 1))
         clean = there.any(axis=0) & (typical < settings.exact * spread)
-        least = np.where(clean, settings.solver, settings.finest) * spread
+        # A slope that errs by so much moves a state by no more than this over a run.
+        far = [solver_errors(run.t, run.x[:, columns]) * np.ptp(run.t) for run in runs]
+        off = np.where(clean, np.max(far, axis=0) / spread, 0.0)
+        least = np.where(clean, np.maximum(settings.solver, off), settings.finest) * spread
         own = [np.sqrt(level[:, columns] ** 2 + least**2) for level in whole]
         opened, places = open_constants(equations, fixed)
         return cls(
@@ -248,6 +261,7 @@ class _Bench:
             runs,
             fixed,
             by_run,
+            off,
         )
 
     def shown_exact(self, verdict: Verdict) -> list[str]:
@@ -666,6 +680,8 @@ class _Bench:
             )
         if not explained:
             doubts.append(f"the residuals are not noise{_where(followed, place)}")
+        if self.off[place] and (times := self._misses_slopes(state)) > settings.within_solver:
+            doubts.append(f"it misses the slopes by {times:.2g} times the errors of their solver")
         share = found.forecast
         # The errors of a solver add up over the forecast; they are no chance.
         settled = self.clean[place] and share is not None and share < 6 * settings.solver
@@ -682,6 +698,12 @@ class _Bench:
         if rows < settings.fewest * max(1, len(found.terms)):
             doubts.append(f"{rows:.0f} rows are too few to be sure")
         return doubts
+
+    def _misses_slopes(self, state: str) -> float:
+        """Median error of an equation in slopes of interpolated rows, in units of that of these."""
+        rows = choose_samples(self.runs, state)
+        missed = np.abs(rows.y - evaluate(self.equations[state], rows.timed))
+        return float(np.median(missed)) / max(float(rows.noise or 0.0), np.finfo(float).tiny)
 
     def _doubted_for(self, alternatives: Sequence[OtherFormula], clean: bool) -> list[OtherFormula]:
         """Give the different formulas that leave a doubt, the closest first; none if none does."""
@@ -717,6 +739,8 @@ class _Bench:
 
     def _praise(self, place: int, noise: float, followed: Followed) -> str:
         exact = "exactly" if self.clean[place] else f"within their noise of {percent(noise)}"
+        if self.off[place] > self.settings.solver:
+            exact = "within the errors of the solver that made them"
         return (
             f"reproduces the data {exact}{self._while(followed)}, forecasts their last "
             f"{self.settings.held_back:.0%}, and needs each of its terms."

@@ -37,6 +37,8 @@ class VerdictSettings:
     exact : noise, as a share of the spread, below which data are clean, as solvers write them.
     solver : error of solvers of low accuracy over a whole run, as a share of the spread; an error
         of less than twice that reproduces clean data, less with more than three constants.
+    within_solver : times the errors that a solver left in slopes, as rows between its steps show
+        them, that a law misses these by at most.
     slopes, sharp : median error of slopes, as a share of their size, that is no law's, and the
         error of the slopes themselves below which this is tested.
     excess : mean squared residual in units of the noise that is still noise, beyond its own spread.
@@ -68,6 +70,7 @@ class VerdictSettings:
     finest: float = 5e-5
     exact: float = 2e-4
     solver: float = 2e-3
+    within_solver: float = 3.0
     slopes: float = 1e-5
     sharp: float = 1e-6
     excess: float = 1.6
