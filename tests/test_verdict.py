@@ -383,6 +383,21 @@ def test_a_law_in_noise_is_probable_among_what_was_compared():
     assert give_verdict(tank, [exact], alternatives={"h": [(other, 20.0)]}).level == "law"
 
 
+def test_the_systems_that_were_compared_are_weighed_together():
+    """Formulas of two states make two other systems; one that changes both states counts once."""
+    tanks = {"h": parse("0.5 - 0.4*sqrt(h)"), "g": parse("0.4*sqrt(h) - 0.3*g")}
+    noisy = measure(tanks, [4.0, 1.0], 20, 200, 0.02)
+    others = {"h": parse("0.3 - 0.1*h"), "g": parse("0.2*h - 0.3*g + 0.1")}
+
+    def level(first, second):
+        bits = {"h": first, "g": second}
+        given = {s: [(others[s], own)] for s, own in bits.items()}
+        return give_verdict(tanks, [noisy], alternatives=given).level
+
+    assert level(5.0, 30.0) == level(30.0, 5.0) == level(5.0, 5.0) == "law"
+    assert level(5.0, 5.1) == "approximation"
+
+
 def test_what_divides_by_zero_between_the_rows_is_no_law():
     """A line that passes through 0 between two rows is doubted, however closely rows are met."""
     t = np.linspace(0, 4, 41)

@@ -11,7 +11,7 @@ from .prior import (
     textbooks,
     write_down,
 )
-from .structure import find_turning, structure_in, structure_of
+from .structure import find_coordinates, find_turning, structure_in, structure_of
 
 __all__ = [
     "FEW",
@@ -23,6 +23,7 @@ __all__ = [
     "Term",
     "Written",
     "exact_bits",
+    "find_coordinates",
     "find_turning",
     "read_body",
     "read_equation",

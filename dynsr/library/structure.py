@@ -13,6 +13,8 @@ from dynsr.library.prior import textbooks
 
 # Share of its way that a phase makes in one direction.
 _ONE_WAY = 0.9
+# Correlation of a column's slopes with another column from which on that is its speed.
+_SPEED = 0.99
 
 
 def structure_of(
@@ -47,26 +49,56 @@ def structure_in(columns: Mapping[str, np.ndarray]) -> Callable[[Mapping[str, sy
     True
     """
     named = {name: row for name, row in columns.items() if name != "t"}
-    angles = find_turning(named, named.values())
+    angles = find_turning(named, named.values(), columns.get("t"))
     return partial(structure_of, columns=tuple(named), angles=angles)
 
 
-def find_turning(names: Iterable[str], rows: Iterable[np.ndarray]) -> tuple[str, ...]:
+def find_turning(
+    names: Iterable[str], rows: Iterable[np.ndarray], t: np.ndarray | None = None
+) -> tuple[str, ...]:
     """Name the columns that sines and cosines are tried of.
 
-    Those that take both signs, and those that turn on and on: that go one way by more than half a
-    turn.
+    Those that take both signs, those that turn on and on: that go one way by more than half a
+    turn, and those whose speed is another column, as that of a body's angle is.
 
     Parameters
     ----------
     names, rows : the columns and their values in order.
+    t : (n,) times of the rows, run after run; without them no speeds are looked for.
 
     >>> t = np.linspace(0.0, 9.0, 50)
     >>> find_turning(["u", "x", "phase"], [np.sin(t), 2 + np.sin(t), 0.1 + t])
     ('u', 'phase')
+    >>> find_turning(["x", "y", "v"], [2 + np.sin(t), 2 + np.sin(t / 2), np.cos(t)], t)
+    ('x', 'v')
     """
-    pairs = zip(names, rows, strict=True)
-    return tuple(n for n, row in pairs if row.min() < 0 < row.max() or keeps_turning(row))
+    found = dict(zip(names, rows, strict=True))
+    moved = () if t is None else find_coordinates(found, t)
+    return tuple(
+        name
+        for name, row in found.items()
+        if row.min() < 0 < row.max() or keeps_turning(row) or name in moved
+    )
+
+
+def find_coordinates(columns: Mapping[str, np.ndarray], t: np.ndarray) -> tuple[str, ...]:
+    """Name the columns whose speed is another column, as that of a joint's angle is.
+
+    Parameters
+    ----------
+    columns : name -> (n,) values in order.
+    t : (n,) times of the rows, run after run.
+    """
+    step = np.diff(t)
+    within = step > 0
+    rows = np.array([*columns.values()]).reshape(len(columns), len(t))
+    slopes = np.diff(rows)[:, within] / step[within]
+    means = ((rows[:, 1:] + rows[:, :-1]) / 2)[:, within]
+    with np.errstate(all="ignore"):
+        alike = np.abs(np.corrcoef(slopes, means)[: len(rows), len(rows) :])
+    np.fill_diagonal(alike, 0.0)
+    most = np.nan_to_num(alike).max(axis=1, initial=0.0)
+    return tuple(name for name, own in zip(columns, most, strict=True) if own > _SPEED)
 
 
 def keeps_turning(row: np.ndarray) -> bool:

@@ -33,6 +33,7 @@ from dynsr.fit import (
 from dynsr.library import (
     Place,
     Written,
+    find_coordinates,
     find_turning,
     read_equation,
     structure_of,
@@ -459,11 +460,20 @@ class SystemComparison:
         return (*self.names, "t")
 
     @cached_property
-    def angles(self) -> tuple[str, ...]:
-        """Columns that may be angles: those that take both signs, or turn on and on."""
-        # Where the smoothed states are.
+    def _smoothed(self) -> dict[str, np.ndarray]:
+        """Name -> (n,) values of each column where the smoothed states are."""
         begun = [self.mesh.start.T, self.mesh.driven[:-1, : len(self.mesh.t)]]
-        return find_turning(self.names, np.concatenate(begun))
+        return dict(zip(self.names, np.concatenate(begun), strict=True))
+
+    @cached_property
+    def angles(self) -> tuple[str, ...]:
+        """Columns that may be angles: that take both signs, turn on and on, or have a speed."""
+        return find_turning(self.names, self._smoothed.values(), self.mesh.t)
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """Columns whose speed is another one."""
+        return find_coordinates(self._smoothed, self.mesh.t)
 
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""

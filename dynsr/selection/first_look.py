@@ -271,8 +271,9 @@ class _Search:
 
     @cached_property
     def _place(self) -> Place:
-        names = self.samples.names
-        return Place(self.samples.target, names, names, find_turning(names, self.samples.X.T))
+        own = self.samples
+        angles = find_turning(own.names, own.X.T, own.t)
+        return Place(own.target, own.names, own.names, angles)
 
     @cached_property
     def _thinned(self) -> tuple[np.ndarray, Samples]:
@@ -334,7 +335,8 @@ class _Search:
         A solver errs from step to step by amounts of very different sizes, and within one step
         these depend on each other. The law misses most rows by little and a few by far.
         """
-        found, gained = list(found), math.inf
+        found = list(found)
+        gained = math.inf if found else 0.0
         while gained > 1:
             best, rows = self._shortest(found)
             view = self._weighted_by(best, rows)

@@ -88,7 +88,7 @@ class ProposalSettings:
     exchanged: int = 5
     rounds: int = 3
     kept: int = 45
-    doubt: float = 3.0
+    doubt: float = 7.0
     library: LibrarySettings = LibrarySettings()
 
 

@@ -50,8 +50,6 @@ _FURTHER = 2.0
 _CITED = 8
 # Equations in which a system may differ that speaks against each of them.
 _AT_ONCE = 2
-# Correlation of a column's slopes with another column from which on that is its speed.
-_SPEED = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,19 +301,9 @@ def explore(
     best = alone.best()
     if best and is_plain(best.exprs[state]) and leaves_noise(best, settings):
         return found
-    angles = [a for a in alone.comparison.angles if settings.parts.has("joints")]
-    joints = [one for a in angles if _turns(a, data) for one in alone.sums_around(a)]
+    angles = alone.comparison.coordinates if settings.parts.has("joints") else ()
+    joints = [one for angle in angles for one in alone.sums_around(angle)]
     return alone.rank(joints) if joints else found
-
-
-def _turns(name: str, data: Measurements) -> bool:
-    """Whether the speed of a column is another column, as of a joint's angle."""
-    if name not in data.runs[0].states:
-        return False
-    samples = data.samples(name)
-    with np.errstate(all="ignore"):
-        alike = np.abs(np.corrcoef(samples.X.T, samples.y)[-1, :-1])
-    return bool(np.nanmax(alike) > _SPEED)
 
 
 def _compose(

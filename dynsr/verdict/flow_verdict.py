@@ -163,7 +163,7 @@ def _give_verdict(
         state: bench.test_state(place, followed, evidence, close.get(state, ()), causes.get(state))
         for place, state in enumerate(bench.equations)
     }
-    states = bench.check_drift(states, followed)
+    states = bench.check_drift(bench.weigh_systems(states), followed)
     return summarise(_doubt_together(states, bench.equations), bench.span(followed))
 
 
@@ -519,6 +519,24 @@ class _Bench:
         if hidden[place]:
             praise = f"{_UNSEEN}, and the data need each of its terms."
         return replace(found, level=LAW, reason=praise)
+
+    def weigh_systems(self, states: Mapping[str, StateVerdict]) -> dict[str, StateVerdict]:
+        """Take for no law what is improbable together: the system, not each equation, is the law.
+
+        Each formula that may be in the place of an equation makes another system. One that changes
+        two equations at once is named with both.
+        """
+        found, others = dict(states), dict[float, tuple[str, OtherFormula]]()
+        for (state, own), clean in zip(states.items(), self.clean, strict=True):
+            if own.level == LAW and not clean:
+                others |= {other.bits: (state, other) for other in own.alternatives}
+        nearest = sorted(others)
+        while nearest and not is_probable(nearest, self.settings):
+            state, other = others[nearest.pop(0)]
+            if found[state].level == LAW:
+                why = f"the data cannot distinguish it from {other.equation}."
+                found[state] = doubt(found[state], why)
+        return found
 
     def check_drift(
         self, states: dict[str, StateVerdict], followed: Followed
