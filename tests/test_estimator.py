@@ -88,7 +88,9 @@ def test_the_front_is_a_frame(planted):
     X, y = planted
     for k, row in table.iterrows():
         assert row.sympy_format == model.sympy(k) == model.front_[k].expr
-        assert np.mean((model.predict(X, k) - y) ** 2) == pytest.approx(row.loss, rel=1e-12, abs=1e-25)
+        assert np.mean((model.predict(X, k) - y) ** 2) == pytest.approx(
+            row.loss, rel=1e-12, abs=1e-25
+        )
     assert model.sympy() == model.expr_ and model.latex() == "3 a b - 2 b"
     with pytest.raises(InputError, match="index 99 is none"):
         model.sympy(99)

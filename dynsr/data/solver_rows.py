@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Degree of the polynomials, and rows that a difference of the next order spans on either side.
+# Degree of the polynomials.
 _DEGREE = 4
 # A jump J of the second derivative makes fifth differences of J h^2 times 1, -3, 3 and -1. The
 # slope of a step of length H errs by about J H / 8, since it is right at both ends of it.
 _SEEN, _BULGE = 2.0, 8.0
-
-
 # Share of the rows on polynomials, and error of the slopes as a share of their size, from which on
 # rows count as interpolated.
 _LEAST, _ERROR = 0.1, 1e-5

@@ -157,7 +157,9 @@ def look(
         seen = search.conclude(found)
         if _is_law(seen):
             return seen
-        found = search.rare(found) if rare else search.proposed(found)
+        if rare:
+            return search.conclude(search.rare(found))
+        found = search.proposed(found)
         return search.conclude(found if search.within_errors(found) else search.weighted(found))
 
 
@@ -276,6 +278,11 @@ class _Search:
         return Place(own.target, own.names, own.names, angles)
 
     @cached_property
+    def _given(self) -> list[sympy.Expr]:
+        """The terms that the user offers."""
+        return [term.as_coeff_Mul()[1] for term in self.limits.terms]
+
+    @cached_property
     def _thinned(self) -> tuple[np.ndarray, Samples]:
         """Some of the rows that are sure, as many where the states move as where they rest.
 
@@ -339,8 +346,8 @@ class _Search:
         gained = math.inf if found else 0.0
         while gained > 1:
             best, rows = self._shortest(found)
-            view = self._weighted_by(best, rows)
-            sums = propose(view, self._place, self.limits.check, [], list(self.known.items()))
+            view, others = self._weighted_by(best, rows), list(self.known.items())
+            sums = propose(view, self._place, self.limits.check, self._given, others)
             found += self.take(self.refitted(sums[: self.settings.kept]))
             gained = best.bits(rows) - self._shortest(found)[0].bits(rows)
         return found
@@ -365,7 +372,6 @@ class _Search:
         Ratios of terms of a joint cost as much as the most expensive of these.
         """
         allow, others = self.limits.check, list(self.known.items())
-        given = [term.as_coeff_Mul()[1] for term in self.limits.terms]
         found, looked = list(found), not (self.is_exact and self.settings.parts.has("joints"))
 
         def enough(sums: list[sympy.Expr], left: int) -> bool:
@@ -380,7 +386,7 @@ class _Search:
         # Rough slopes tell fewer sums apart.
         settings = self.settings.proposals if self.is_exact else PROPOSALS
         place, view, kept = self._place, self._evidence, self.settings.kept
-        sums = propose(view, place, allow, given, others, settings, enough=enough)
+        sums = propose(view, place, allow, self._given, others, settings, enough=enough)
         # The others show whether the best of them is alone.
         return [*found, *self.take([*self.refitted(sums[:kept]), *sums[kept:]])]
 
