@@ -81,6 +81,7 @@ class LookSettings:
     within : residuals up to so many times that error count as that error.
     wild : share of the rows whose residuals may be more than ten times larger, where solvers and
         differences fail.
+    alike : residuals up to so many times the least of all are as good, where nothing explains them.
     uneven : residuals up to so many times the error of rough slopes may be of a law: what a solver
         leaves between its steps is not seen in differences.
     doubt : share of the probability that all other formulas have at most where one is final.
@@ -97,6 +98,7 @@ class LookSettings:
     exact: float = 1e-4
     within: float = 3.0
     wild: float = 0.1
+    alike: float = 4.0
     uneven: float = 10.0
     doubt: float = 0.05
     stands_out: float = 30.0
@@ -343,7 +345,7 @@ class _Search:
         these depend on each other. The law misses most rows by little and a few by far.
         """
         found = list(found)
-        gained = math.inf if found else 0.0
+        gained = math.inf if found and self._is_explained(found) else 0.0
         while gained > 1:
             best, rows = self._shortest(found)
             view, others = self._weighted_by(best, rows), list(self.known.items())
@@ -365,6 +367,10 @@ class _Search:
         """Give the choice of the fewest bits, and the independent residuals that these count."""
         rows = min(found, key=lambda c: c.scale).rows
         return min(found, key=lambda c: c.bits(rows)), rows
+
+    def _is_explained(self, found: Sequence[_Choice]) -> bool:
+        """Whether the best of the formulas leaves what may be the error of rough slopes."""
+        return self._shortest(found)[0].scale * self.size <= self.settings.uneven * self.error
 
     def proposed(self, found: Sequence[_Choice]) -> list[_Choice]:
         """Add the sums of terms of the library that are expected to take the fewest bits.
@@ -516,18 +522,19 @@ class _Search:
         if settled:
             found = [c for c in found if c in settled or c not in good]
             good = settled
-        ranked = sorted(good, key=self._cost)
-        ranked += sorted((c for c in found if c not in good), key=lambda c: c.miss)
+        # What nothing explains is the same for all that is near the law.
+        bound = settings.alike * min(c.miss for c in found)
+        near = good or [c for c in found if c.miss <= bound]
+        ranked = sorted(near, key=self._cost)
+        ranked += sorted((c for c in found if c not in near), key=lambda c: c.miss)
         exprs: list[sympy.Expr] = []
         final = False
-        if not good:
+        if not good and self._is_explained(found):
             best, rows = self._shortest(found)
             ranked = sorted(found, key=lambda c: c.bits(rows))
             others = [c for c in ranked if not c.terms >= best.terms and not self._same(best, c)]
             weight = sum(2.0 ** (best.bits(rows) - c.bits(rows)) for c in others)
-            explained = best.scale * self.size <= settings.uneven * self.error
-            rough = not self.is_exact and explained
-            ends = rough and settings.parts.has("end-look")
+            ends = not self.is_exact and settings.parts.has("end-look")
             final = ends and weight <= settings.doubt and not self._is_open(best)
         if good:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
