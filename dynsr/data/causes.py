@@ -21,7 +21,7 @@ from dynsr.data.noise_model import (
 from dynsr.data.observation import at_own_rows
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples, smooth_column
-from dynsr.data.solver_rows import find_solver_rows
+from dynsr.data.solver_rows import are_even, find_solver_rows
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
 
@@ -292,8 +292,7 @@ def _jumps(runs: Sequence[Trajectory], settings: DiagnosisSettings) -> bool:
 
 
 def _are_even(runs: Sequence[Trajectory]) -> bool:
-    steps = np.concatenate([np.diff(run.t) for run in runs])
-    return bool(np.ptp(steps) <= 1e-3 * np.median(steps))
+    return are_even(np.concatenate([np.diff(run.t) for run in runs]))
 
 
 def _largest_jump(runs: Sequence[Trajectory], columns: Sequence[np.ndarray]) -> str:

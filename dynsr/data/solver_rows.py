@@ -65,12 +65,10 @@ def find_solver_rows(columns: Sequence[np.ndarray], step: float) -> SolverRows |
     columns = [x for x in columns if len(x) > _DEGREE + 1]
     if not columns:
         return None
-    first, third, fifth = (
-        np.concatenate(
-            [np.abs(np.diff(x, k))[(5 - k) // 2 : len(x) - k - (5 - k) // 2] for x in columns]
-        )
-        for k in (1, 3, 5)
-    )
+    # Each at the middle of the rows that a fifth difference spans.
+    first = np.concatenate([np.diff(x)[2:-2] for x in columns])
+    third = np.concatenate([np.abs(np.diff(x, 3))[1:-1] for x in columns])
+    fifth = np.concatenate([np.abs(np.diff(x, _DEGREE + 1)) for x in columns])
     # A fifth difference is a sum of rows, 32 of them with their signs; twice that is rounding.
     rounding = 64 * np.finfo(float).eps * max(float(np.max(np.abs(x))) for x in columns)
     inside = (fifth <= rounding) & (third > 4 * rounding)
@@ -85,6 +83,16 @@ def find_solver_rows(columns: Sequence[np.ndarray], step: float) -> SolverRows |
     return SolverRows(share, error, error / size if size else 0.0)
 
 
+def are_even(steps: np.ndarray) -> bool:
+    """Whether times between rows are the same, but for a thousandth; False without any.
+
+    Parameters
+    ----------
+    steps : (n,) times between rows.
+    """
+    return len(steps) > 0 and bool(np.ptp(steps) <= _EVEN * np.median(steps))
+
+
 def solver_errors(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(k,) errors that a solver left in the slopes of columns, per second; 0 where none is seen.
 
@@ -94,7 +102,7 @@ def solver_errors(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     x : (n, k) columns.
     """
     steps = np.diff(t)
-    if not len(steps) or np.ptp(steps) > _EVEN * np.median(steps):
+    if not are_even(steps):
         return np.zeros(x.shape[1])
     found = [find_solver_rows([column], float(np.median(steps))) for column in x.T]
     return np.array([one.error if one is not None and one.interpolated else 0.0 for one in found])

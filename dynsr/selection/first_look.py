@@ -522,11 +522,6 @@ class _Search:
         if settled:
             found = [c for c in found if c in settled or c not in good]
             good = settled
-        # What nothing explains is the same for all that is near the law.
-        bound = settings.alike * min(c.miss for c in found)
-        near = good or [c for c in found if c.miss <= bound]
-        ranked = sorted(near, key=self._cost)
-        ranked += sorted((c for c in found if c not in near), key=lambda c: c.miss)
         exprs: list[sympy.Expr] = []
         final = False
         if not good and self._is_explained(found):
@@ -536,6 +531,12 @@ class _Search:
             weight = sum(2.0 ** (best.bits(rows) - c.bits(rows)) for c in others)
             ends = not self.is_exact and settings.parts.has("end-look")
             final = ends and weight <= settings.doubt and not self._is_open(best)
+        else:
+            # What nothing explains is the same for all that is near the law.
+            bound = settings.alike * min(c.miss for c in found)
+            near = good or [c for c in found if c.miss <= bound]
+            ranked = sorted(near, key=self._cost)
+            ranked += sorted((c for c in found if c not in near), key=lambda c: c.miss)
         if good:
             # What cannot be chance leads: a longer formula whose constants are all simple numbers.
             most = settings.within * max(self.error, max(c.miss for c in good) * self.size)
