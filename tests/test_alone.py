@@ -35,7 +35,7 @@ def test_forces_of_long_sums_are_found():
     }
     data = measured(tuple(texts.items()), (0.8, 0.3, -0.5, 0.9), 22.0, 150, 0.01)
     alone = Alone.of("v", data, COMPARISON)
-    found = alone.rank(alone.propose())
+    found = list(alone.rank(alone.propose()))
     law = alone.comparison.fit({**alone.beside, "v": with_floats(parse(texts["v"]))})
     assert skeleton(found[0]) == skeleton(law.exprs["v"])
 
@@ -46,12 +46,12 @@ def test_a_sum_of_whole_powers_goes_before_any_exponent():
     texts = {"i": "-1.4*i - 0.6*w + 5", "w": "1.2*i - 0.1*w - 0.07*w^2"}
     data = measured(tuple(texts.items()), (0.1, 0.1), 8.0, 300, 0.01)
     alone = Alone.of("w", data, COMPARISON)
-    found = alone.rank(alone.propose())
+    found = list(alone.rank(alone.propose()))
     law = alone.comparison.fit({"w": with_floats(parse(texts["w"]))})
     assert skeleton(found[0]) == skeleton(law.exprs["w"])
     grown = (("n", "1.3*n - 0.4*n^1.7"),)
     alone = Alone.of("n", measured(grown, (0.1,), 6.0, 300, 0.01), COMPARISON)
-    best = alone.rank(alone.propose())[:5]
+    best = list(alone.rank(alone.propose()))[:5]
     powers = [float(p.exp) for e in best for p in e.atoms(sympy.Pow) if p.exp.is_Float]
     assert powers and min(abs(power - 1.7) for power in powers) < 0.15
 

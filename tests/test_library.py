@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from dynsr.expression import evaluate
-from dynsr.library import Form, Library, LibrarySettings, read_body
+from dynsr.library import Form, FormValues, Library, LibrarySettings, read_body
 from dynsr.library.atoms import ATOMS
 from dynsr.library.forms import Factor
 
@@ -20,10 +20,10 @@ def test_values_of_an_atom_are_those_of_its_formula(name: str) -> None:
     atom, points = ATOMS[name], _columns(np.random.default_rng(1))
     form = Form((), (Factor(atom, (0, 1, 2)[: atom.columns]),))
     constants = np.full((1, form.constants), 0.7)
-    values, slopes = form.both(["x", "y", "z"], points, constants)
+    library = Library(("x", "y", "z"), (form,), (constants,))
+    values, _ = FormValues(library, points).begun
     expr = form.write(["x", "y", "z"], constants[0])
     np.testing.assert_allclose(values[0], evaluate(expr, dict(zip("xyz", points, strict=True))))
-    assert slopes.shape == (1, form.constants, 40)
 
 
 @pytest.mark.parametrize("name", sorted(n for n, a in ATOMS.items() if a.inside))
@@ -34,12 +34,29 @@ def test_the_slope_of_an_atom_is_that_of_a_small_step(name: str) -> None:
     names, begun = ["x", "y", "z"], atom.begin(points[: atom.columns], np.array([0.7, 0.9]))
     library = Library(tuple(names), (form,), (np.concatenate([begun / 2, 2 * begun]),))
     here = begun[0]
-    values, slopes = library.values(0, points, here[None])
+    own, first = FormValues(library, points), np.zeros(1, dtype=int)
+    values, slopes = own.of(first, here[None])
     assert np.all(np.isfinite(values))
     for step, slope in zip(1e-6 * np.eye(len(here)), slopes[0], strict=True):
         up, down = (library.moved(np.array(0), here, way * step) for way in (1, -1))
-        ends = [form.both(names, points, end[None])[0] for end in (up, down)]
+        ends = [own.of(first, end[None])[0] for end in (up, down)]
         np.testing.assert_allclose((ends[0] - ends[1])[0] / 2e-6, slope, rtol=1e-4, atol=1e-8)
+
+
+def test_forms_of_the_same_atoms_are_evaluated_as_they_are_written() -> None:
+    """Each form of a whole library, with every one of its starts, has the values that SymPy has."""
+    names, points = ["x", "y", "z"], _columns(np.random.default_rng(5))
+    own = [sympy.Symbol("x") * sympy.cos(sympy.Symbol("t"))]
+    points = np.vstack([points, np.linspace(0, 1, 40)])
+    library = Library.of(names, points, ["x"], own, beside=["t"])
+    values, slopes = FormValues(library, points).begun
+    columns = dict(zip((*names, "t"), points, strict=True))
+    for row, place, constants in zip(values, library.owners, library.constants, strict=True):
+        expr = library.forms[place].write((*names, "t"), constants)
+        np.testing.assert_allclose(row, evaluate(expr, columns), rtol=1e-9)
+    inside = library.inside[library.owners]
+    assert slopes.shape == (len(library.owners), library.most, 40)
+    assert not np.any(slopes[inside == 1, 1:])
 
 
 def test_a_library_holds_no_more_rows_than_it_may() -> None:

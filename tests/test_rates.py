@@ -89,7 +89,7 @@ def test_constants_inside_a_rate_are_shared_too():
 def test_a_conserved_sum_hides_no_rate():
     """Bound and free ligand tell each other; still every equation is the rate of mass action."""
     data = bound()
-    pools = {s: explore(s, data, SETTINGS) for s in BINDING}
+    pools = {s: list(explore(s, data, SETTINGS)) for s in BINDING}
     first = {s: pool[0] for s, pool in pools.items()}
     best = compare_systems(first, pools, data, SETTINGS).exprs
     for state, text in BINDING.items():

@@ -75,7 +75,7 @@ def measured(name, share=0.05, seed=0):
 @lru_cache
 def pools(name):
     """What is found along the states for each of them."""
-    return {s: explore(s, measured(name), SETTINGS) for s in TRUTHS[name]}
+    return {s: list(explore(s, measured(name), SETTINGS)) for s in TRUTHS[name]}
 
 
 @lru_cache
@@ -135,7 +135,7 @@ def test_the_exploration_is_in_the_order_of_bits():
     """
     data = measured("SIR")
     comparison = SystemComparison(data.mesh(("S",)), SETTINGS, data.runs[0].states)
-    pool = explore("S", data, SETTINGS)
+    pool = list(explore("S", data, SETTINGS))
     fits = [comparison.fit({"S": e}) for e in pool[:10]]
     told = [f.bits for f in fits if np.all(f.fit.errors < np.abs(f.fit.constants))]
     assert len(told) >= 5
@@ -271,7 +271,7 @@ def test_what_leaves_one_state_enters_another():
     x = solve_ivp(slope, (0, 12), (3.0, 0.1), t_eval=t, rtol=1e-9, atol=1e-9).y.T
     x = x * (1 + 0.01 * np.random.default_rng(6).normal(size=x.shape))
     data = Measurements.of([Trajectory(t, x, ("food", "cells"))], {}, 2000)
-    explored = {s: explore(s, data, SETTINGS) for s in ("food", "cells")}
+    explored = {s: list(explore(s, data, SETTINGS)) for s in ("food", "cells")}
     best = compare_systems({s: e[0] for s, e in explored.items()}, explored, data, SETTINGS).exprs
     food, cells = sympy.symbols("food cells")
     for expr in best.values():
@@ -334,7 +334,7 @@ def test_demands_are_obeyed():
     x, y = sympy.symbols("x y")
     asked = read_demands(("x", "y"), ("x", "y"), functions=[], constraints=["y: x*y = 0"])
     settings = ComparisonSettings(demands=asked)
-    pool = explore("y", measured(name), settings)
+    pool = list(explore("y", measured(name), settings))
     assert all(x * y not in coefficients(e) for e in pool)
     assert not any(e.atoms(sympy.Function) for e in pool)
     first = {"x": parse(TRUTHS[name]["x"]), "y": pool[0]}

@@ -121,7 +121,7 @@ def test_exploration_keeps_to_the_vocabulary():
     run = Trajectory(t, (x * (1 + 0.03 * rng.normal(size=80)))[:, None], ("x",))
     data = Measurements.of([run], {}, 2000)
     demands = read_demands(("x",), ("x",), functions=[])
-    found = explore("x", data, ComparisonSettings(demands=demands))
+    found = list(explore("x", data, ComparisonSettings(demands=demands)))
     assert found and not any(e.atoms(sympy.Function) for e in found)
     assert set(sympy.expand(found[0]).as_coefficients_dict()) == {X, X**2}
 
@@ -133,7 +133,7 @@ def test_own_terms_take_part_in_the_exploration():
     x = x + 0.01 * x.std() * np.random.default_rng(0).normal(size=x.shape)
     data = Measurements.of([Trajectory(t, x, ("x",))], {}, 2000)
     demands = read_demands(("x",), ("x",), terms=["exp(-x^4)"])
-    found = explore("x", data, ComparisonSettings(demands=demands))
+    found = list(explore("x", data, ComparisonSettings(demands=demands)))
     assert any(own in expr.atoms(sympy.exp) for expr in found[:5])
 
 
@@ -149,7 +149,7 @@ def test_the_hinged_cart_is_found_in_noise():
     force = compile_columns([CART_POLE.inputs["F"]], ["t"])(t)[0]
     run = Trajectory(t, clean.x + off, clean.states, inputs=force[:, None], input_names=("F",))
     data = Measurements.of([run], {}, 2000)
-    found = explore("z", data, ComparisonSettings())
+    found = list(explore("z", data, ComparisonSettings()))
     alone = Alone.of("z", data, ComparisonSettings())
     truth = CART_POLE.rhs[CART_POLE.index("z")]
     columns = {n: RNG.uniform(-1, 1, 50) for n in ("w", "y", "F")}
@@ -207,5 +207,5 @@ def test_what_saturates_in_the_fifth_power_is_found_in_noise():
     """The normal form of a subcritical pitchfork, from rows on its positive side alone."""
     law = {"a": "0.4*a + 0.9*a^3 - 0.3*a^5"}
     data = measured(tuple(law.items()), (0.1,), 8.0, 300, 0.01)
-    found = explore("a", data, ComparisonSettings())
+    found = list(explore("a", data, ComparisonSettings()))
     assert skeleton(floats(law)["a"]) in map(skeleton, found[:3])

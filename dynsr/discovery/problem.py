@@ -736,6 +736,9 @@ class Problem:
         if not all(pools.values()):
             return None
         exprs = self._with_known({state: pool[0] for state, pool in pools.items()})
+        for found in explored:
+            told = zip(pools[found.target], found.bits, strict=bool(found.bits))
+            self._compared.told[found.target] = dict(told)
         choice, cut = finish_by(
             self.until("searches"),
             lambda: self.compare(exprs, pools),

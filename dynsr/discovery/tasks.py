@@ -86,6 +86,7 @@ class Found:
     error, kind : what ended the method in words, and the name of that exception; "" if nothing.
     cut : the time budget ended the search.
     final : nothing is left to search for this state.
+    bits : of the candidates, where they were fitted to the states.
     """
 
     target: str
@@ -96,6 +97,7 @@ class Found:
     kind: str = ""
     cut: bool = False
     final: bool = False
+    bits: tuple[float, ...] = ()
 
     @cached_property
     def front(self) -> ParetoFront:
@@ -224,12 +226,13 @@ def explore_one(
 ) -> Found:
     """Look for the sums of terms that follow one state best, along the smoothed states."""
     began = time.monotonic()
-    exprs = explore(state, data, settings.comparison)
+    found = explore(state, data, settings.comparison)
     samples = data.samples(state)
     named = "sums of terms fitted to the states"
-    candidates = tuple(score_candidate(e, samples, named) for e in exprs)
+    candidates = tuple(score_candidate(expr, samples, named) for expr in found)
     report(Progress("sums of terms", 0, None, ParetoFront(candidates)))
-    return Found(state, EXPLORATION, candidates, time.monotonic() - began)
+    taken = time.monotonic() - began
+    return Found(state, EXPLORATION, candidates, taken, bits=tuple(found.values()))
 
 
 def look_one(

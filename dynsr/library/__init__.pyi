@@ -12,10 +12,12 @@ from .prior import (
     write_down,
 )
 from .structure import find_coordinates, find_turning, structure_in, structure_of
+from .values import FormValues
 
 __all__ = [
     "FEW",
     "Form",
+    "FormValues",
     "Library",
     "LibrarySettings",
     "Place",

@@ -169,11 +169,11 @@ class Atom:
 
         Parameters
         ----------
-        rows : (columns, n) values of its columns.
+        rows : (columns, n) values of its columns, or (columns, g, n).
         constants : (g, c) values of those inside.
         """
         rows, constants = np.asarray(rows, dtype=float), np.asarray(constants, dtype=float)
-        shape = len(constants), rows.shape[1]
+        shape = len(constants), rows.shape[-1]
         # Places that it does not have may hold anything.
         columns = [rows[min(i, len(rows) - 1)] for i in range(len(PLACES))]
         numbers = [*constants.T[:, :, None], *[np.ones((1, 1))] * len(NUMBERS)][: len(NUMBERS)]

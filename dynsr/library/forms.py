@@ -15,7 +15,7 @@ from itertools import chain, combinations, combinations_with_replacement, permut
 import numpy as np
 import sympy
 
-from dynsr.expression import compile_columns, marks
+from dynsr.expression import marks
 from dynsr.library.atoms import ATOMS, Atom, Domain, Inside
 from dynsr.library.prior import Term, read_body
 
@@ -139,33 +139,6 @@ class Form:
             parts.append(factor.atom.write(tuple(symbols[i] for i in factor.columns), numbers))
         return sympy.Mul(*parts)
 
-    def both(
-        self, names: Sequence[str], points: np.ndarray, constants: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Give values (g, n) and slopes (g, c, n) by the constants inside.
-
-        Parameters
-        ----------
-        names, points : of all columns, and their values (names, n).
-        constants : (g, c) of those inside.
-        """
-        count = len(constants)
-        if self.own is not None:
-            values = compile_columns([self.own], names)(*points)
-            return np.broadcast_to(values, (count, points.shape[1])), np.zeros((count, 0, 1))
-        plain = np.ones(points.shape[1])
-        for place, power in self.powers:
-            plain = plain * points[place] ** power
-        values, used = np.broadcast_to(plain, (count, len(plain))), 0
-        slopes: list[np.ndarray] = []
-        for factor in self.factors:
-            own = constants[:, used : used + len(factor.atom.inside)]
-            used += len(factor.atom.inside)
-            value, turned = factor.atom.both(points[list(factor.columns)], own)
-            slopes = [s * value for s in slopes] + [values * s for s in turned.swapaxes(0, 1)]
-            values = values * value
-        return values, np.stack(slopes, axis=1) if slopes else np.zeros((count, 0, len(plain)))
-
 
 @dataclass(frozen=True, eq=False)
 class Library:
@@ -233,32 +206,6 @@ class Library:
     def constants(self) -> list[np.ndarray]:
         """Constants (c,) of every row of values."""
         return [row for own in self.starts for row in own]
-
-    def values(
-        self, place: int, points: np.ndarray, constants: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Give values (g, n) of a form, and slopes (g, c, n) by steps of its constants.
-
-        Parameters
-        ----------
-        place : of the form.
-        points : (names, n) values of all columns.
-        constants : (g, c) of those inside.
-        """
-        value, slopes = self.forms[place].both(self.names, points, constants)
-        return value, slopes * self.units[place, : slopes.shape[1], None]
-
-    def both(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give values (P, n) of all forms with all constants that they begin with, and slopes.
-
-        The slopes (P, most, n) are those by the constants inside, and 0 where there are fewer.
-        """
-        parts = [self.values(i, points, own) for i, own in enumerate(self.starts)]
-        values = np.concatenate([value for value, _ in parts])
-        slopes = np.zeros((len(values), self.most, values.shape[1]))
-        for at, (value, slope) in zip(self.first, parts, strict=True):
-            slopes[at : at + len(value), : slope.shape[1]] = slope
-        return values, slopes
 
     @cached_property
     def inside(self) -> np.ndarray:

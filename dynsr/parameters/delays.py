@@ -39,7 +39,7 @@ from dynsr.fit import (
     precision_bits,
     skeleton,
 )
-from dynsr.library import Form, Library, LibrarySettings, Written
+from dynsr.library import Form, FormValues, Library, LibrarySettings, Written
 from dynsr.parameters.intervals import leave_unknown, take_apart, write_interval
 from dynsr.parameters.parameters import name_constants, put_names
 from dynsr.selection import (
@@ -546,7 +546,7 @@ class _Scan:
         names = [*own, *others, *before]
         library = Library.of(names, points, settings=settings.library)
         with np.errstate(all="ignore"):
-            values = library.both(points)[0]
+            values, _ = FormValues(library, points).begun
             sizes = np.linalg.norm(values, axis=1)
         fine = np.flatnonzero(np.isfinite(sizes) & (sizes > 0))
         terms = values[fine] / sizes[fine, None]

@@ -34,7 +34,7 @@ from dynsr.fit import (
     skeleton,
     tidy,
 )
-from dynsr.library import Form, Library, LibrarySettings
+from dynsr.library import Form, FormValues, Library, LibrarySettings
 from dynsr.parameters.by_run import RunParameters
 from dynsr.parameters.intervals import printed_order, take_apart
 from dynsr.parameters.parameters import Parameter, name_constants, put_names
@@ -602,10 +602,11 @@ def _fit_form(
     offset: int,
 ) -> Iterator[tuple[sympy.Expr, tuple[float, ...]]]:
     """Fit a factor, a constant added to it and what is inside; nothing where that is not finite."""
-    target, columns = white @ values, list(names)
+    target, columns = white @ values, tuple(names)
+    own = FormValues(Library(columns, (form,), (starts,)), points)
 
     def solve(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        term = form.both(columns, points, inside[None])[0][0]
+        term = own.of(np.zeros(1, dtype=int), inside[None])[0][0]
         terms = white @ np.column_stack([term, *[np.ones_like(term)] * offset])
         if not np.all(np.isfinite(terms)):
             return np.zeros(1 + offset), target

@@ -6,8 +6,8 @@ highest, those of terms of a joint, and those with terms of other equations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,7 @@ from dynsr.fit import (
     Probes,
     constant_bits,
     free_constants,
+    skeleton,
     structure_bits,
 )
 from dynsr.library import write_down
@@ -48,14 +49,29 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Alone:
-    """One state fitted by itself, the others read from their smoothed curves."""
+    """One state fitted by itself, the others read from their smoothed curves.
+
+    Parameters
+    ----------
+    state : whose equation is sought.
+    beside : the equations of the others.
+    comparison : the fits.
+    told : formulas that were fitted so before, with their bits.
+    """
 
     state: str
     beside: Equations
     comparison: SystemComparison
+    told: Mapping[sympy.Expr, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, state: str, data: Measurements, settings: ComparisonSettings) -> Alone:
+    def of(
+        cls,
+        state: str,
+        data: Measurements,
+        settings: ComparisonSettings,
+        told: Mapping[sympy.Expr, float] | None = None,
+    ) -> Alone:
         """Take one state of some data.
 
         Parameters
@@ -63,19 +79,21 @@ class Alone:
         state : whose equation is sought.
         data : the measured states, their noise and smoothed curves.
         settings : the numbers that decide.
+        told : formulas that were fitted so before, with their bits.
         """
         beside = data.beside(state)
         mesh = data.mesh((*beside, state))
-        return cls(state, beside, SystemComparison(mesh, settings, data.runs[0].states))
+        comparison = SystemComparison(mesh, settings, data.runs[0].states)
+        return cls(state, beside, comparison, told or {})
 
-    def rank(self, pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
-        """Give the formulas that can be fitted, fewest bits first."""
+    def rank(self, pool: Iterable[sympy.Expr]) -> dict[sympy.Expr, float]:
+        """Give the formulas that can be fitted and their bits, fewest bits first."""
         force = self.comparison.settings.demands.force
         for expr in pool:
             self.comparison.fit({**self.beside, self.state: force(self.state, expr)})
         for fit in self._ranked()[: self.comparison.settings.pruned]:
             prune(self.comparison, fit, self.state)
-        return [f.exprs[self.state] for f in self._ranked()]
+        return {fit.exprs[self.state]: fit.bits for fit in self._ranked()}
 
     def lead(
         self, pool: Iterable[sympy.Expr], others: Sequence[tuple[str, sympy.Expr]] = ()
@@ -87,14 +105,15 @@ class Alone:
         pool : more formulas.
         others : states and equations of theirs; terms in these cost less.
         """
-        self.rank(pool)
-        settings, state = self.comparison.settings, self.state
-        written, found = write_down(others), []
-        for fit in self.comparison.fits():
-            less = self.comparison.saved_bits(state, fit.exprs[state], written) if others else 0.0
-            found.append((fit.bits - less, fit))
-        found = sorted(found, key=lambda pair: pair[0])[: settings.together]
-        leaders = [Leader(fit.exprs[state], bits - found[0][0]) for bits, fit in found]
+        before = {skeleton(expr): (expr, bits) for expr, bits in self.told.items()}
+        ranked = self.rank(expr for expr in pool if skeleton(expr) not in before)
+        known = {**before, **{skeleton(expr): (expr, bits) for expr, bits in ranked.items()}}
+        settings, written, found = self.comparison.settings, write_down(others), []
+        for expr, bits in known.values():
+            less = self.comparison.saved_bits(self.state, expr, written) if others else 0.0
+            found.append((expr, bits - less))
+        found = sorted(found, key=lambda pair: pair[1])[: settings.together]
+        leaders = [Leader(expr, bits - found[0][1]) for expr, bits in found]
         return [one for one in leaders if one.behind <= settings.behind]
 
     def lead_citing(
@@ -212,8 +231,8 @@ class Alone:
         others = [sympy.Symbol(name) for name in self.comparison.names if name != self.state]
         return [sympy.S.Zero, *others, *self.comparison.propose(self.state, evidence)]
 
-    def rank_sums(self) -> list[sympy.Expr]:
-        """Give sums of terms of the library, fewest bits first."""
+    def rank_sums(self) -> dict[sympy.Expr, float]:
+        """Give sums of terms of the library and their bits, fewest bits first."""
         return self.rank(self.propose())
 
 

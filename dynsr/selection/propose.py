@@ -18,6 +18,7 @@ import sympy
 from dynsr.expression import added_bits, bits_in_force
 from dynsr.fit import NOTHING_LEFT, one_of_each_shape
 from dynsr.library import (
+    FormValues,
     Library,
     LibrarySettings,
     Place,
@@ -30,8 +31,8 @@ from dynsr.selection.evidence import Evidence
 from dynsr.selection.shapes import bodies_of, wide_factors
 from dynsr.selection.subsets import SINGULAR
 
-# Of many sums that could be grown, so many are put in order at first.
-_FIRST = 20_000
+# Rows of values whose gains are counted at once.
+_BLOCK = 256
 # Share of the misses by which two sums of as many terms differ that are two functions.
 _SAME = 1e-7
 
@@ -115,6 +116,11 @@ class _Units:
         """Give some of the rows."""
         return _Units(self.rows[places], self.sizes[places])
 
+    def full(self, places: np.ndarray) -> np.ndarray:
+        """(P, r) some of the rows with their own lengths."""
+        sizes = self.sizes[places, None]
+        return self.rows[places] * np.where(sizes < np.inf, sizes, 0.0)
+
 
 def _have_squares(sizes: np.ndarray) -> np.ndarray:
     """Whether sizes have squares that are float64 numbers."""
@@ -166,6 +172,7 @@ class _Layer:
     ----------
     places, constants : (b, s) their forms in order, and (b, s, most) the constants inside.
     weights : (b, s) coefficients.
+    rows : (b, s, r) mapped values of the forms.
     slopes : (b, s, most, r) mapped slopes of the forms by their constants.
     basis : (b, s, r) orthonormal rows that span the mapped forms.
     rest : (b, r) what is left of the target.
@@ -176,6 +183,7 @@ class _Layer:
     places: np.ndarray
     constants: np.ndarray
     weights: np.ndarray
+    rows: np.ndarray
     slopes: np.ndarray
     basis: np.ndarray
     rest: np.ndarray
@@ -193,13 +201,6 @@ class _Layer:
         """Put others in the place of some of them."""
         for own in fields(self):
             getattr(self, own.name)[rows] = getattr(others, own.name)
-
-
-def _in_order(values: np.ndarray) -> Iterator[int]:
-    """Give the places of values, the least first; the first of them before the rest is sorted."""
-    bound = np.partition(values, _FIRST)[_FIRST] if len(values) > _FIRST else np.inf
-    for some in (np.flatnonzero(values <= bound), np.flatnonzero(values > bound)):
-        yield from some[np.argsort(values[some], kind="stable")].tolist()
 
 
 def _joined(layers: Sequence[_Layer]) -> _Layer:
@@ -440,9 +441,14 @@ class Proposer:
     @cached_property
     def _rows(self) -> tuple[_Units, tuple[_Units, ...]]:
         """Mapped values of all forms with the constants they begin with, and slopes by these."""
-        values, slopes = self.library.both(self.evidence.points)
+        values, slopes = self._values.begun
         turned = (_unit(self.evidence.mapped(own)) for own in slopes.swapaxes(0, 1))
         return _unit(self.evidence.mapped(values)), tuple(turned)
+
+    @cached_property
+    def _values(self) -> FormValues:
+        """The values of all forms."""
+        return FormValues(self.library, self.evidence.points)
 
     def _bits(self, layer: _Layer) -> np.ndarray:
         """(b,) all bits of sums."""
@@ -467,37 +473,80 @@ class Proposer:
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf
         # What tells nothing alone may tell all together, and the fewer forms, the more so.
         width = max(self.settings.beam, self.settings.singles // 2 ** layer.places.shape[1])
-        chosen: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
-        inside = self.library.inside[layer.places].sum(axis=1) + self.library.inside[tier, None]
-        room = self._room(self.settings.fitted * width)
-        for flat in _in_order(bits.ravel()):
-            row, parent = divmod(flat, len(layer))
-            if not bits[row, parent] < np.inf or not any(room):
-                break
-            kind = min(int(inside[row, parent]), len(room) - 1)
-            form, own = int(tier[row]), layer.places[parent].tolist()
-            key = tuple(sorted((*own, form)))
-            if form in own or (key not in chosen and not room[kind]):
-                continue
-            room[kind] -= key not in chosen
-            ways = chosen.setdefault(key, [])
-            # From the constants of another parent a sum may end elsewhere.
-            if len(ways) < self.settings.parents * self.settings.starts:
-                end = first[row + 1] if row + 1 < len(first) else len(places)
-                likely = np.argsort(-gains[first[row] : end, parent], kind="stable")
-                for start in first[row] + likely[: self.settings.starts]:
-                    ways.append((form, parent, int(places[start])))
-        ways = [way for own in chosen.values() for way in own]
-        if not ways:
+        chosen = self._choose(layer, tier, bits, self._room(self.settings.fitted * width))
+        if not chosen:
             return layer.some(np.zeros(0, dtype=int))
-        forms, parents, rows = np.array(ways).T
-        begun = np.array([self.library.padded(row) for row in rows])
-        together = np.column_stack([layer.places[parents], forms])
-        constants = np.concatenate([layer.constants[parents], begun[:, None]], axis=1)
-        order = np.argsort(together, axis=1, kind="stable")
-        together = np.take_along_axis(together, order, axis=1)
-        constants = np.take_along_axis(constants, order[:, :, None], axis=1)
-        return self._best_of_each(self._finish(together, constants, self.settings.steps), width)
+        ways = []
+        for row, parent in chosen:
+            end = first[row + 1] if row + 1 < len(first) else len(places)
+            likely = np.argsort(-gains[first[row] : end, parent], kind="stable")
+            ways += [(parent, places[first[row] + i]) for i in likely[: self.settings.starts]]
+        return self._best_of_each(self._extended(layer, *np.array(ways).T), width)
+
+    def _choose(
+        self, layer: _Layer, tier: np.ndarray, bits: np.ndarray, room: Sequence[int]
+    ) -> list[tuple[int, int]]:
+        """Give which forms, by their places in the tier, are added to which sums.
+
+        Parameters
+        ----------
+        layer, tier : the sums and the forms.
+        bits : (forms, b) that are expected.
+        room : how many sums of each number of constants inside are fitted.
+        """
+        holds = np.zeros((len(self.library.forms), len(layer)), dtype=bool)
+        holds[layer.places.T, np.arange(len(layer))] = True
+        bits = np.where(holds[tier], np.inf, bits)
+        order = np.argsort(bits, axis=None, kind="stable")[: np.count_nonzero(bits < np.inf)]
+        rows, parents = np.divmod(order, len(layer))
+        # The same sum is reached from several others.
+        named = self._marks[layer.places].sum(axis=1)[parents] + self._marks[tier[rows]]
+        _, first, owners = np.unique(named, return_index=True, return_inverse=True)
+        inside = self.library.inside[layer.places].sum(axis=1)[parents[first]]
+        kinds = np.minimum(inside + self.library.inside[tier[rows[first]]], len(room) - 1)
+        taken, end = np.zeros(len(first), dtype=bool), 0
+        for kind, most in enumerate(room):
+            own = np.sort(first[kinds == kind])
+            taken[owners[own[:most]]] = True
+            end = max(end, own[most - 1] + 1 if len(own) >= most else len(order))
+        starts, found = self.settings.starts, dict[int, list[tuple[int, int]]]()
+        counts = dict[int, int]()
+        for place in np.flatnonzero(taken[owners[:end]]).tolist():
+            owner, row = int(owners[place]), int(rows[place])
+            # From the constants of another parent a sum may end elsewhere.
+            if counts.get(owner, 0) < self.settings.parents * starts:
+                found.setdefault(owner, []).append((row, int(parents[place])))
+                more = min(starts, len(self.library.starts[tier[row]]))
+                counts[owner] = counts.get(owner, 0) + more
+        return [pair for pairs in found.values() for pair in pairs]
+
+    @cached_property
+    def _marks(self) -> np.ndarray:
+        """(forms,) numbers of which the sum says which forms it is of, in any order."""
+        ends = np.iinfo(np.int64)
+        return np.random.default_rng(0).integers(ends.min, ends.max, len(self.library.forms))
+
+    def _extended(self, layer: _Layer, parents: np.ndarray, begun: np.ndarray) -> _Layer:
+        """Fit sums with one form more each, from the constants that it begins with.
+
+        Parameters
+        ----------
+        layer, parents : the sums, and which of them.
+        begun : the rows of values of the forms.
+        """
+        units, turned = self._rows
+        padded = np.array([self.library.padded(row) for row in begun])
+        slopes = np.stack([own.full(begun) for own in turned], axis=1)
+        pairs = (
+            (layer.places, self.library.owners[begun]),
+            (layer.constants, padded),
+            (layer.rows, units.full(begun)),
+            (layer.slopes, slopes),
+        )
+        joined = [np.concatenate([o[parents], new[:, None]], axis=1) for o, new in pairs]
+        order = np.argsort(joined[0], axis=1, kind="stable")
+        own = np.arange(len(order))[:, None]
+        return self._move_on(self._solve(*(each[own, order] for each in joined)))
 
     def _best_of_each(self, layer: _Layer, width: int) -> _Layer:
         """Give the best sums, each choice of forms once."""
@@ -522,9 +571,12 @@ class Proposer:
         gains = np.zeros((len(places), len(layer)))
         inside = self.library.inside[self.library.owners[places]]
         for count in np.unique(inside):
-            some = places[inside == count]
-            slopes = [own.some(some) for own in turned[:count]]
-            gains[inside == count] = self._gains_of(layer, units.some(some), slopes)
+            own = np.flatnonzero(inside == count)
+            # Blocks of rows stay in the cache.
+            for rows in np.array_split(own, -(-len(own) // _BLOCK)):
+                some = places[rows]
+                slopes = [one.some(some) for one in turned[:count]]
+                gains[rows] = self._gains_of(layer, units.some(some), slopes)
         return gains
 
     def _gains_of(self, layer: _Layer, units: _Units, turned: Sequence[_Units]) -> np.ndarray:
@@ -565,9 +617,13 @@ class Proposer:
 
     def _finish(self, places: np.ndarray, constants: np.ndarray, steps: int) -> _Layer:
         """Fit sums, and move the constants inside while that is better."""
-        best = self._fit(places, constants)
-        moving = np.flatnonzero(np.isfinite(best.left) & self.library.inside[places].any(axis=1))
-        for _ in range(steps):
+        return self._move_on(self._fit(places, constants), steps)
+
+    def _move_on(self, best: _Layer, steps: int | None = None) -> _Layer:
+        """Move the constants inside of sums while that is better."""
+        inside = self.library.inside[best.places].any(axis=1)
+        moving = np.flatnonzero(np.isfinite(best.left) & inside)
+        for _ in range(self.settings.steps if steps is None else steps):
             if not len(moving):
                 break
             before = best.left[moving] + self.evidence.beside
@@ -607,23 +663,16 @@ class Proposer:
 
     def _mapped(self, places: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give mapped values (k, r) of forms, and slopes (k, most, r) by the constants inside."""
-        starts, points = self._rows[0], self.evidence.points
-        first = self.library.first[places]
-        values = starts.rows[first] * starts.sizes[first, None]
+        values = self._rows[0].full(self.library.first[places])
         slopes = np.zeros((len(places), self.library.most, values.shape[1]))
-        inside = np.flatnonzero(self.library.inside[places])
-        if not len(inside):
-            return values, slopes
-        inside = inside[np.argsort(places[inside], kind="stable")]
-        kinds, begin = np.unique(places[inside], return_index=True)
-        raw = np.empty((len(inside), points.shape[1]))
-        turned = np.zeros((len(inside), self.library.most, points.shape[1]))
-        for place, at, end in zip(kinds, begin, [*begin[1:], len(inside)], strict=True):
-            count = int(self.library.inside[place])
-            own = constants[inside[at:end], :count]
-            raw[at:end], turned[at:end, :count] = self.library.values(place, points, own)
-        values[inside] = self.evidence.mapped(raw)
-        slopes[inside] = self.evidence.mapped(turned)
+        inside = self.library.inside[places]
+        moving = np.flatnonzero(inside)
+        if len(moving):
+            raw, turned = self._values.of(places[moving], constants[moving])
+            values[moving] = self.evidence.mapped(raw)
+            for place in range(self.library.most):
+                held = inside[moving] > place
+                slopes[moving[held], place] = self.evidence.mapped(turned[held, place])
         return values, slopes
 
     @property
@@ -633,9 +682,16 @@ class Proposer:
 
     def _fit(self, places: np.ndarray, constants: np.ndarray) -> _Layer:
         """Fit the coefficients of sums."""
-        (count, terms), y = places.shape, self.evidence.y
-        values, slopes = self._mapped(places.ravel(), constants.reshape(-1, self.library.most))
-        rows = values.reshape(count, terms, len(y))
+        rows, slopes = self._mapped(places.ravel(), constants.reshape(-1, self.library.most))
+        shape = (*places.shape, len(self.evidence.y))
+        slopes = slopes.reshape(*places.shape, *slopes.shape[1:])
+        return self._solve(places, constants, rows.reshape(shape), slopes)
+
+    def _solve(
+        self, places: np.ndarray, constants: np.ndarray, rows: np.ndarray, slopes: np.ndarray
+    ) -> _Layer:
+        """Fit the coefficients of sums whose forms have these mapped values and slopes."""
+        y, terms = self.evidence.y, places.shape[1]
         sizes = np.linalg.norm(rows, axis=2)
         fine = np.all(_have_squares(sizes), axis=1)
         sizes[~fine] = 1.0
@@ -650,8 +706,7 @@ class Proposer:
         weights = np.linalg.solve(r, inner[:, :, None])[:, :, 0]
         losses = weights**2 / np.sum(np.linalg.inv(r) ** 2, axis=2)
         left = np.where(fine, np.sum(rest**2, axis=1), np.inf)
-        slopes = slopes.reshape(count, terms, self.library.most, len(y))
-        return _Layer(places, constants, weights / sizes, slopes, basis, rest, left, losses)
+        return _Layer(places, constants, weights / sizes, rows, slopes, basis, rest, left, losses)
 
     def _thin(self, one: Sum, found: dict[tuple[int, ...], Sum]) -> None:
         """Leave out terms, that which is missed least first, and keep what that gives."""

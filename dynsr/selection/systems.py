@@ -138,10 +138,12 @@ def _widen(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 class Compared:
     """What one comparison of some data learnt for the next: its fits, and where they led.
 
-    ``alone`` has the comparison of each state by itself, ``together`` that of all, and
-    ``refined`` the system that the end of a search came to.
+    ``told`` has the formulas that were fitted to each state by itself, with their bits, ``alone``
+    the comparison of each, ``together`` that of all, and ``refined`` the system that the end of a
+    search came to.
     """
 
+    told: dict[str, Mapping[sympy.Expr, float]] = field(default_factory=dict)
     alone: dict[str, Alone] = field(default_factory=dict)
     together: dict[tuple[str, ...], SystemComparison] = field(default_factory=dict)
     refined: dict[SystemFit, SystemFit] = field(default_factory=dict)
@@ -180,7 +182,7 @@ def compare_systems(
     known = Compared() if known is None else known
     comparison = known.together.get(states) or SystemComparison(data.mesh(states), settings)
     known.together[states] = comparison
-    found = _search(pools, data, comparison, known.alone)
+    found = _search(pools, data, comparison, known)
     if not found:
         return SystemChoice(dict(exprs))
     best = known.refined.get(found[0]) or _refine(comparison, found[0])
@@ -243,17 +245,18 @@ def _search(
     pools: Mapping[str, Sequence[sympy.Expr]],
     data: Measurements,
     together: SystemComparison,
-    known: dict[str, Alone],
+    known: Compared,
 ) -> list[SystemFit]:
     """Rank each state's formulas alone, put the best together and climb; where that ended.
 
-    ``known`` are the states that were looked at alone before, and those that are now.
+    ``known`` has the states that were looked at alone before, and those that are now.
     """
     settings = together.settings
     # What is one bare column, such as q' = v, is known well enough.
     own = [state for state, pool in pools.items() if not pool[0].is_Symbol]
-    known |= {s: Alone.of(s, data, settings) for s in own if s not in known}
-    alone = {s: known[s] for s in own}
+    for state in (s for s in own if s not in known.alone):
+        known.alone[state] = Alone.of(state, data, settings, known.told.get(state))
+    alone = {s: known.alone[s] for s in own}
     given = {s: [Leader(pool[0], 0.0)] for s, pool in pools.items()}
     first = given | {s: own.lead(pools[s]) or given[s] for s, own in alone.items()}
     # What leaves one state enters another: terms of the one are cheap in the other.
@@ -283,8 +286,10 @@ def distinct_shapes(pool: Iterable[sympy.Expr]) -> list[sympy.Expr]:
 
 def explore(
     state: str, data: Measurements, settings: ComparisonSettings = COMPARISON
-) -> list[sympy.Expr]:
-    """Give sums of terms that follow one state best, the others read from their curves.
+) -> dict[sympy.Expr, float]:
+    """Give sums of terms that follow one state best, and their bits, fewest bits first.
+
+    The other states are read from their curves.
 
     The terms are evaluated along the smoothed states, and their integrals are fitted to the
     measured ones (the weak form of Schaeffer and McCalla 2017, with windows of all lengths). Exact
