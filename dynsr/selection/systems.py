@@ -330,31 +330,35 @@ def _climb(
     moves = comparison.settings.parts.has("move-leaders")
     others = {s: [one.expr for one in pool] for s, pool in leaders.items() if moves}
     for _ in range(comparison.settings.rounds):
-        changes = [
-            (state, expr)
+        expected = (
+            (more, state, expr)
             for state, exprs in others.items()
-            for expr in _near_by(comparison, fit, state, exprs)
-        ]
-        systems = [exprs for change in changes for exprs in comparison.changed(fit, *change)]
-        fits = [comparison.fit(exprs, fit) for exprs in systems]
-        best = min([fit, *(f for f in fits if f is not None)], key=lambda f: f.bits)
+            for more, expr in _expected(comparison, fit, state, exprs)
+        )
+        best = fit
+        for more, state, expr in sorted(expected, key=lambda change: change[0]):
+            # What is expected to be far from the best of those before it is not fitted.
+            if more >= best.bits - fit.bits + comparison.settings.near:
+                break
+            fits = [comparison.fit(e, fit) for e in comparison.changed(fit, state, expr)]
+            best = min([best, *(f for f in fits if f is not None)], key=lambda f: f.bits)
         if best is fit:
             break
         fit = best
     return fit
 
 
-def _near_by(
+def _expected(
     comparison: SystemComparison, fit: SystemFit, state: str, exprs: Sequence[sympy.Expr]
-) -> list[sympy.Expr]:
-    """Give the equations for a state that are expected to take few bits more than its own one.
+) -> list[tuple[float, sympy.Expr]]:
+    """Give how many bits more than its own one other equations of a state are expected to take.
 
     Their terms are fitted in its place, with all the rest of the system free; the constants inside
     stay as they are.
     """
     view = comparison.evidence(fit, {state: (1.0, fit.exprs[state])})
     if view is None:
-        return list(exprs)
+        return [(0.0, expr) for expr in exprs]
     expected = []
     for expr in (fit.exprs[state], *exprs):
         bodies = bodies_of(expr)
@@ -367,8 +371,9 @@ def _near_by(
         rest = view.y - basis @ (basis.T @ view.y)
         said = comparison.structure({**fit.exprs, state: expr}) + view.constant_bits * len(bodies)
         expected.append(float(view.misses(float(rest @ rest))) + said)
-    most = expected[0] + comparison.settings.near
-    return [expr for expr, bits in zip(exprs, expected[1:], strict=True) if bits < most]
+    own, *others = expected
+    more = [bits - own if math.isfinite(own) else 0.0 for bits in others]
+    return list(zip(more, exprs, strict=True))
 
 
 def _closest(
