@@ -110,7 +110,8 @@ def test_noisy_states_show_them_too(texts, start, end, state):
     columns = dict(zip(clean.states, clean.x.T, strict=True))
     true = evaluate(laws[state], columns)
     count = len(sympy.Add.make_args(laws[state]))
-    likely = [e for e in alone.rank(alone.propose())[:12] if len(sympy.Add.make_args(e)) == count]
+    best = list(alone.rank(alone.propose()))[:12]
+    likely = [e for e in best if len(sympy.Add.make_args(e)) == count]
     assert min(np.std(evaluate(e, columns) - true) for e in likely) < 0.05 * np.std(true)
 
 
