@@ -30,10 +30,11 @@ from dynsr.selection.changes import (
     drop_least,
     prune,
 )
-from dynsr.selection.comparison import SystemComparison
+from dynsr.selection.comparison import COMPARISON, SystemComparison
 from dynsr.selection.renewal import renewals
 from dynsr.selection.shapes import bodies_of
 from dynsr.selection.systems import distinct_shapes, integrate
+from dynsr.verdict.levels import VERDICT, is_probable
 
 TRUTHS = {
     "Lotka-Volterra": {"x": "1.1*x - 0.4*x*y", "y": "0.1*x*y - 0.4*y"},
@@ -150,7 +151,7 @@ def test_rivals_hold_no_nested_forms(name):
     choice = found(name)
     for state, near in choice.different().items():
         law = set(coefficients(choice.exprs[state]))
-        assert len(near) <= 3
+        assert all(more < COMPARISON.near for _, more in near[3:])
         for expr, more in near:
             assert not law <= set(coefficients(expr)), expr
             assert np.isfinite(more)
@@ -368,6 +369,22 @@ def test_functions_that_part_beyond_a_short_arc_are_rivals_on_it():
     )
     alternatives = SystemChoice({"q": mine}, fit, others).different(0.02)["q"]
     assert [expr for expr, _ in alternatives] == [other]
+
+
+def test_many_unlikely_formulas_leave_a_doubt_together():
+    """Of ten formulas that each take 7 bits more all count: together they have 7 %."""
+    q = np.linspace(0.4, 1.2, 100)
+    problem = SimpleNamespace(mesh=SimpleNamespace(states=("q",), columns={"q": q}))
+    mine = parse("-2.0*q")
+    fit = SimpleNamespace(
+        problem=problem, fit=SimpleNamespace(states=q[:, None]), exprs={"q": mine}
+    )
+    others = tuple((parse(f"-{i}.0*q^3"), 7.0) for i in range(1, 11))
+    far = ((parse("q^4"), 30.0),)
+    near = SystemChoice({"q": mine}, fit, {"q": (*others, *far)}).different(0.02)["q"]
+    assert len(near) == 10
+    assert is_probable([more for _, more in near[:3]], VERDICT)
+    assert not is_probable([more for _, more in near], VERDICT)
 
 
 @pytest.mark.slow

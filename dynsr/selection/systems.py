@@ -48,6 +48,8 @@ _ASIDE = 5.0
 _FURTHER = 2.0
 # Leaders of each other equation whose terms are offered to one.
 _CITED = 8
+# Different formulas that are named however far behind they are.
+_NAMED = 3
 # Equations in which a system may differ that speaks against each of them.
 _AT_ONCE = 2
 
@@ -121,7 +123,8 @@ class SystemChoice:
                     told = apart_by(far, expr, wider) > _FURTHER * share
                 if told:
                     near.append((expr, more))
-            del near[3:]
+            # All of them have a share of the probability, but for what is far behind.
+            near[_NAMED:] = [pair for pair in near[_NAMED:] if pair[1] < COMPARISON.near]
         return found
 
 
