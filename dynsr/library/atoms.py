@@ -76,7 +76,8 @@ class Inside:
             return np.asarray(before * np.quantile(rows[0], self.at))
         if not self.units:
             return np.array(self.starts)
-        usual = np.std(rows, axis=1) if self.of_spread else np.median(np.abs(rows), axis=1)
+        # Where a column decays, most of its values are next to nothing.
+        usual = np.std(rows, axis=1) if self.of_spread else np.sqrt(np.mean(rows**2, axis=1))
         scale = float(np.prod(usual[1 : len(self.units)] ** np.array(self.units[1:])))
         if not self.starts:
             return np.asarray(sizes ** self.units[0] * scale)
