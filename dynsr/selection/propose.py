@@ -633,32 +633,49 @@ class Proposer:
         return best
 
     def _move(self, best: _Layer, moving: np.ndarray) -> None:
-        """Move the constants inside of some sums by a step, or a shorter one, if it is better."""
-        far, before, steps = self.settings.farthest, math.nan, np.zeros(0)
+        """Move the constants inside of some sums by a step, or others, if it is better."""
+        before, steps = math.nan, np.zeros(0)
         for scale, damped in self.settings.tries:
             own = best.some(moving)
             # A share of a step needs no new one.
-            steps = steps if damped == before else self._steps(own, damped)
-            ahead = np.clip(scale * steps, -far, far)
-            moved = self._fit(own.places, self.library.moved(own.places, own.constants, ahead))
+            again = damped == before
+            steps = steps if again else self._steps(own, damped)
+            moved = self._stepped(own, scale * steps)
             better = moved.left < own.left
             best.put(moving[better], moved.some(better))
             moving, steps, before = moving[~better], steps[~better], damped
-            if not len(moving):
-                return
+            if again or not len(moving):
+                continue
+            # Where a valley bends, a step leads out of it and the next one back, much further on.
+            moved, left = moved.some(~better), own.left[~better]
+            out = np.flatnonzero(np.isfinite(moved.left))
+            moved = moved.some(out)
+            moved = self._stepped(moved, self._steps(moved, damped))
+            better = moved.left < left[out]
+            best.put(moving[out[better]], moved.some(better))
+            kept = np.ones(len(moving), dtype=bool)
+            kept[out[better]] = False
+            moving, steps = moving[kept], steps[kept]
+
+    def _stepped(self, layer: _Layer, steps: np.ndarray) -> _Layer:
+        """Fit sums after steps of the constants inside."""
+        far = self.settings.farthest
+        ahead = np.clip(steps, -far, far)
+        return self._fit(layer.places, self.library.moved(layer.places, layer.constants, ahead))
 
     def _steps(self, layer: _Layer, damped: float) -> np.ndarray:
         """(b, s, most) steps of the constants inside (Levenberg); the coefficients follow."""
         count, terms, _, width = layer.slopes.shape
         slopes = layer.weights[:, :, None, None] * layer.slopes
-        slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0).reshape(count, -1, width)
+        slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
+        slopes = slopes.reshape(count, terms * self.library.most, width)
         # What the coefficients can do is taken out of the slopes.
         slopes = slopes - (slopes @ layer.basis.swapaxes(1, 2)) @ layer.basis
         units = _unit(slopes.reshape(-1, width))
         rows = units.rows.reshape(slopes.shape)
         gram = rows @ rows.swapaxes(1, 2) + damped * np.eye(rows.shape[1])
         pull = rows @ layer.rest[:, :, None]
-        steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, -1)
+        steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, rows.shape[1])
         return steps.reshape(count, terms, self.library.most)
 
     def _mapped(self, places: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
