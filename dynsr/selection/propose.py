@@ -197,10 +197,12 @@ class _Layer:
         """Give some of them."""
         return _Layer(*(getattr(self, own.name)[rows] for own in fields(self)))
 
-    def put(self, rows: np.ndarray, others: _Layer) -> None:
-        """Put others in the place of some of them."""
+    def improve(self, rows: np.ndarray, others: _Layer) -> np.ndarray:
+        """Put better sums in the place of some of them; gives for which of these there is none."""
+        better = others.left < self.left[rows]
         for own in fields(self):
-            getattr(self, own.name)[rows] = getattr(others, own.name)
+            getattr(self, own.name)[rows[better]] = getattr(others, own.name)[better]
+        return np.asarray(~better)
 
 
 def _joined(layers: Sequence[_Layer]) -> _Layer:
@@ -639,23 +641,17 @@ class Proposer:
             own = best.some(moving)
             # A share of a step needs no new one.
             again = damped == before
-            steps = steps if again else self._steps(own, damped)
+            steps, before = steps if again else self._steps(own, damped), damped
             moved = self._stepped(own, scale * steps)
-            better = moved.left < own.left
-            best.put(moving[better], moved.some(better))
-            moving, steps, before = moving[~better], steps[~better], damped
-            if again or not len(moving):
-                continue
-            # Where a valley bends, a step leads out of it and the next one back, much further on.
-            moved, left = moved.some(~better), own.left[~better]
-            out = np.flatnonzero(np.isfinite(moved.left))
-            moved = moved.some(out)
-            moved = self._stepped(moved, self._steps(moved, damped))
-            better = moved.left < left[out]
-            best.put(moving[out[better]], moved.some(better))
-            kept = np.ones(len(moving), dtype=bool)
-            kept[out[better]] = False
-            moving, steps = moving[kept], steps[kept]
+            worse = best.improve(moving, moved)
+            moving, steps = moving[worse], steps[worse]
+            if not again and len(moving):
+                # Where a valley bends, a step leads out of it and the next one back, further on.
+                moved = moved.some(worse)
+                worse = best.improve(moving, self._stepped(moved, self._steps(moved, damped)))
+                moving, steps = moving[worse], steps[worse]
+            if not len(moving):
+                return
 
     def _stepped(self, layer: _Layer, steps: np.ndarray) -> _Layer:
         """Fit sums after steps of the constants inside."""
