@@ -666,7 +666,8 @@ class Discovery:
     def _alternatives(self, state: str) -> list[sympy.Expr]:
         """Other formulas of a state: those that the verdict names, then those of the front."""
         judged = self.verdict.states
-        named = judged[state].alternatives if state in judged else ()
+        most = self._settings(VerdictSettings, "verdict").alternatives
+        named = judged[state].alternatives[:most] if state in judged else ()
         allowed = count_constants(self.equations[state]) + MORE_CONSTANTS
         front = sorted(self.front.get(state, ()), key=lambda c: c.loss)
         near = [c.expr for c in front if count_constants(c.expr) <= allowed]

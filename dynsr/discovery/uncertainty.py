@@ -147,9 +147,15 @@ def _terms(
     found = list(sympy.Add.make_args(expand_terms(top)))
     if bottom == 1:
         for other in alternatives:
-            found += [] if _is_ratio(other) else sympy.Add.make_args(expand_terms(other))
+            terms = sympy.Add.make_args(expand_terms(other))
+            found += [] if any(map(_has_constants, terms)) else terms
     bare = dict.fromkeys(term.as_coeff_Mul()[1] for term in found if term != 0)
     return tuple(bare), bottom
+
+
+def _has_constants(term: sympy.Expr) -> bool:
+    """Whether a term has constants inside, which an ensemble does not fit."""
+    return bool(sympy.fraction(term)[1].is_Add or term.as_coeff_Mul()[1].atoms(sympy.Float))
 
 
 def _is_ratio(expr: sympy.Expr) -> bool:

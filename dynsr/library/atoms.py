@@ -305,7 +305,11 @@ _TABLE = (
     Atom("phase sine", sympy.sin(V - W), Domain.TURNING, most=0),
     Atom("phase cosine", sympy.cos(V - W), Domain.TURNING, most=0),
     Atom("scaled phase sine", sympy.sin(K * (V - W)), Domain.TURNING, (_RATE,), most=0),
-    Atom("tanh of both", sympy.tanh(K * V + L * W), inside=(_RATE, Inside((0, -1), (-2.0, -0.5, 0.5, 2.0)))),
+    Atom(
+        "tanh of both",
+        sympy.tanh(K * V + L * W),
+        inside=(_RATE, Inside((0, -1), (-2.0, -0.5, 0.5, 2.0))),
+    ),
     Atom("distance", sympy.Abs(V - W), Domain.APART_BOTH_SIGNS),
     Atom("root apart", sympy.sqrt(V - W), Domain.APART_POSITIVE),
     Atom("power apart", (V - W) ** K, Domain.APART_POSITIVE, (_POWER_APART,), most=0),
