@@ -253,10 +253,10 @@ class Library:
         further = np.where(signs == 0, 1.0, self.roam)
         return signs, low / further, high * further
 
-    def padded(self, row: int) -> np.ndarray:
-        """Give the constants (most,) of a row of values; 0 where its form has fewer."""
-        own = self.constants[row]
-        return np.concatenate([own, np.zeros(self.most - len(own))])
+    @cached_property
+    def begun(self) -> np.ndarray:
+        """(P, most) constants of every row of values; 0 where its form has fewer."""
+        return padded(self.constants, self.most)
 
     @cached_property
     def first(self) -> np.ndarray:
@@ -353,6 +353,22 @@ class _Maker:
         low = min(max(least, high / settings.widest), high / settings.apart)
         steps = math.ceil(math.log(high / low) / math.log(settings.apart))
         return np.geomspace(low, high, 1 + steps)
+
+
+def padded(rows: Sequence[Sequence[float] | np.ndarray], width: int) -> np.ndarray:
+    """(n, width) rows of numbers, with 0 where they are shorter.
+
+    Parameters
+    ----------
+    rows, width : the n rows, and how long they become.
+
+    >>> padded([[1.0], [2.0, 3.0]], 2).tolist()
+    [[1.0, 0.0], [2.0, 3.0]]
+    """
+    found = np.zeros((len(rows), width))
+    for whole, own in zip(found, rows, strict=True):
+        whole[: len(own)] = own
+    return found
 
 
 @lru_cache(maxsize=50_000)

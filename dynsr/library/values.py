@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dynsr.expression import compile_columns
-from dynsr.library.atoms import Atom
-from dynsr.library.forms import Form, Library
+from dynsr.library.forms import Library, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,32 +44,28 @@ class FormValues:
         values = self._plain[self._rows[places]]
         slopes = np.zeros((len(places), self.library.most, values.shape[1]))
         kinds = self._kinds[places]
-        for kind in np.unique(kinds[kinds > 0]):
+        for kind in np.unique(kinds):
             some = np.flatnonzero(kinds == kind)
-            self._multiply(self._atoms[kind], some, places[some], constants[some], values, slopes)
+            self._multiply(some, places[some], constants[some], values, slopes)
         slopes *= self.library.units[places][:, :, None]
         return values, slopes
 
     @property
     def begun(self) -> tuple[np.ndarray, np.ndarray]:
         """Values (P, n) of all forms with all constants that they begin with, and slopes."""
-        constants = np.zeros((len(self.library.owners), self.library.most))
-        for row, own in zip(constants, self.library.constants, strict=True):
-            row[: len(own)] = own
-        return self.of(self.library.owners, constants)
+        return self.of(self.library.owners, self.library.begun)
 
     def _multiply(
         self,
-        atoms: tuple[Atom, ...],
         some: np.ndarray,
         places: np.ndarray,
         constants: np.ndarray,
         values: np.ndarray,
         slopes: np.ndarray,
     ) -> None:
-        """Multiply some rows of values by their atoms, and put their slopes in."""
+        """Multiply some rows of values by their atoms, which are the same; put their slopes in."""
         value, turned, used, held = values[some], list[np.ndarray](), 0, 0
-        for atom in atoms:
+        for atom in (factor.atom for factor in self.library.forms[places[0]].factors):
             rows = self.points[self._columns[places, held : held + atom.columns].T]
             own, by = atom.both(rows, constants[:, used : used + len(atom.inside)])
             turned = [slope * own for slope in turned]
@@ -81,52 +77,28 @@ class FormValues:
             slopes[some, place] = slope
 
     @cached_property
-    def _by_atoms(self) -> dict[tuple[str, ...], int]:
-        """Names of the atoms of a form -> number of its kind; 0 for none."""
-        found: dict[tuple[str, ...], int] = {(): 0}
-        for form in self.library.forms:
-            found.setdefault(_names(form), len(found))
-        return found
-
-    @cached_property
     def _kinds(self) -> np.ndarray:
-        """(forms,) number of the kind of each."""
-        return np.array([self._by_atoms[_names(form)] for form in self.library.forms])
-
-    @cached_property
-    def _atoms(self) -> dict[int, tuple[Atom, ...]]:
-        """Number of a kind -> its atoms."""
-        each = zip(self._kinds.tolist(), self.library.forms, strict=True)
-        return {kind: tuple(f.atom for f in form.factors) for kind, form in each}
+        """(forms,) a number for the atoms of each."""
+        return _numbered(tuple(f.atom.name for f in form.factors) for form in self.library.forms)
 
     @cached_property
     def _columns(self) -> np.ndarray:
         """(forms, most) places of the columns of their atoms, one atom after the other."""
         each = [[c for f in form.factors for c in f.columns] for form in self.library.forms]
-        found = np.zeros((len(each), max(map(len, each), default=0)), dtype=int)
-        for row, own in zip(found, each, strict=True):
-            row[: len(own)] = own
-        return found
-
-    @cached_property
-    def _numbered(self) -> dict[object, int]:
-        """Powers of columns, or a term that is given -> number of the row of its values."""
-        found: dict[object, int] = {}
-        for form in self.library.forms:
-            found.setdefault(_plain(form), len(found))
-        return found
+        return padded(each, max(map(len, each), default=0)).astype(int)
 
     @cached_property
     def _rows(self) -> np.ndarray:
-        """(forms,) number of the row of what is not an atom."""
-        return np.array([self._numbered[_plain(form)] for form in self.library.forms])
+        """(forms,) a number for what is not an atom: powers of columns, or a term that is given."""
+        forms = self.library.forms
+        return _numbered(form.powers if form.own is None else form.own for form in forms)
 
     @cached_property
     def _plain(self) -> np.ndarray:
         """(rows, n) values of products of powers, and of terms that are given."""
-        found = np.ones((len(self._numbered), self.points.shape[1]))
-        for form in self.library.forms:
-            row = self._numbered[_plain(form)]
+        rows, first = np.unique(self._rows, return_index=True)
+        found = np.ones((len(rows), self.points.shape[1]))
+        for row, form in zip(rows, (self.library.forms[place] for place in first), strict=True):
             if form.own is not None:
                 found[row] = compile_columns([form.own], self.library.names)(*self.points)
                 continue
@@ -137,9 +109,7 @@ class FormValues:
         return found
 
 
-def _names(form: Form) -> tuple[str, ...]:
-    return tuple(factor.atom.name for factor in form.factors)
-
-
-def _plain(form: Form) -> object:
-    return form.powers if form.own is None else form.own
+def _numbered(keys: Iterable[Hashable]) -> np.ndarray:
+    """(n,) a number for each key, from 0 on; equal keys have the same."""
+    numbers: dict[Hashable, int] = {}
+    return np.array([numbers.setdefault(key, len(numbers)) for key in keys])

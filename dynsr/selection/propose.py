@@ -475,20 +475,25 @@ class Proposer:
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf
         # What tells nothing alone may tell all together, and the fewer forms, the more so.
         width = max(self.settings.beam, self.settings.singles // 2 ** layer.places.shape[1])
-        chosen = self._choose(layer, tier, bits, self._room(self.settings.fitted * width))
-        if not chosen:
+        room, ways = self._room(self.settings.fitted * width), dict[int, list[tuple[int, int]]]()
+        for owner, row, parent in self._choose(layer, tier, bits, room):
+            # From the constants of another parent a sum may end elsewhere.
+            if (
+                len(own := ways.setdefault(owner, []))
+                < self.settings.parents * self.settings.starts
+            ):
+                end = first[row + 1] if row + 1 < len(first) else len(places)
+                likely = np.argsort(-gains[first[row] : end, parent], kind="stable")
+                own += [(parent, places[first[row] + i]) for i in likely[: self.settings.starts]]
+        if not ways:
             return layer.some(np.zeros(0, dtype=int))
-        ways = []
-        for row, parent in chosen:
-            end = first[row + 1] if row + 1 < len(first) else len(places)
-            likely = np.argsort(-gains[first[row] : end, parent], kind="stable")
-            ways += [(parent, places[first[row] + i]) for i in likely[: self.settings.starts]]
-        return self._best_of_each(self._extended(layer, *np.array(ways).T), width)
+        parents, begun = np.array([way for own in ways.values() for way in own]).T
+        return self._best_of_each(self._extended(layer, parents, begun), width)
 
     def _choose(
         self, layer: _Layer, tier: np.ndarray, bits: np.ndarray, room: Sequence[int]
-    ) -> list[tuple[int, int]]:
-        """Give which forms, by their places in the tier, are added to which sums.
+    ) -> Iterator[tuple[int, int, int]]:
+        """Give the sums to be fitted, by number, with the form's place in the tier and the parent.
 
         Parameters
         ----------
@@ -511,16 +516,8 @@ class Proposer:
             own = np.sort(first[kinds == kind])
             taken[owners[own[:most]]] = True
             end = max(end, own[most - 1] + 1 if len(own) >= most else len(order))
-        starts, found = self.settings.starts, dict[int, list[tuple[int, int]]]()
-        counts = dict[int, int]()
-        for place in np.flatnonzero(taken[owners[:end]]).tolist():
-            owner, row = int(owners[place]), int(rows[place])
-            # From the constants of another parent a sum may end elsewhere.
-            if counts.get(owner, 0) < self.settings.parents * starts:
-                found.setdefault(owner, []).append((row, int(parents[place])))
-                more = min(starts, len(self.library.starts[tier[row]]))
-                counts[owner] = counts.get(owner, 0) + more
-        return [pair for pairs in found.values() for pair in pairs]
+        for place in np.flatnonzero(taken[owners[:end]]):
+            yield int(owners[place]), int(rows[place]), int(parents[place])
 
     @cached_property
     def _marks(self) -> np.ndarray:
@@ -537,18 +534,18 @@ class Proposer:
         begun : the rows of values of the forms.
         """
         units, turned = self._rows
-        padded = np.array([self.library.padded(row) for row in begun])
         slopes = np.stack([own.full(begun) for own in turned], axis=1)
         pairs = (
             (layer.places, self.library.owners[begun]),
-            (layer.constants, padded),
+            (layer.constants, self.library.begun[begun]),
             (layer.rows, units.full(begun)),
             (layer.slopes, slopes),
         )
         joined = [np.concatenate([o[parents], new[:, None]], axis=1) for o, new in pairs]
         order = np.argsort(joined[0], axis=1, kind="stable")
         own = np.arange(len(order))[:, None]
-        return self._move_on(self._solve(*(each[own, order] for each in joined)))
+        fitted = self._solve(*(each[own, order] for each in joined))
+        return self._move_on(fitted, self.settings.steps)
 
     def _best_of_each(self, layer: _Layer, width: int) -> _Layer:
         """Give the best sums, each choice of forms once."""
@@ -621,11 +618,11 @@ class Proposer:
         """Fit sums, and move the constants inside while that is better."""
         return self._move_on(self._fit(places, constants), steps)
 
-    def _move_on(self, best: _Layer, steps: int | None = None) -> _Layer:
+    def _move_on(self, best: _Layer, steps: int) -> _Layer:
         """Move the constants inside of sums while that is better."""
         inside = self.library.inside[best.places].any(axis=1)
         moving = np.flatnonzero(np.isfinite(best.left) & inside)
-        for _ in range(self.settings.steps if steps is None else steps):
+        for _ in range(steps):
             if not len(moving):
                 break
             before = best.left[moving] + self.evidence.beside
@@ -663,15 +660,14 @@ class Proposer:
         """(b, s, most) steps of the constants inside (Levenberg); the coefficients follow."""
         count, terms, _, width = layer.slopes.shape
         slopes = layer.weights[:, :, None, None] * layer.slopes
-        slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
-        slopes = slopes.reshape(count, terms * self.library.most, width)
+        slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0).reshape(count, -1, width)
         # What the coefficients can do is taken out of the slopes.
         slopes = slopes - (slopes @ layer.basis.swapaxes(1, 2)) @ layer.basis
         units = _unit(slopes.reshape(-1, width))
         rows = units.rows.reshape(slopes.shape)
         gram = rows @ rows.swapaxes(1, 2) + damped * np.eye(rows.shape[1])
         pull = rows @ layer.rest[:, :, None]
-        steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, rows.shape[1])
+        steps = np.linalg.solve(gram, pull)[:, :, 0] / units.sizes.reshape(count, -1)
         return steps.reshape(count, terms, self.library.most)
 
     def _mapped(self, places: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
