@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -834,11 +834,17 @@ def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
 
 def _of_one_form(one: sympy.Expr, other: sympy.Expr) -> bool:
     """Whether formulas differ in their constants alone, however their ratios are written."""
-    shapes = [
-        {skeleton(with_floats(form)) for form in ratio_forms(sympy.together(expr))}
-        for expr in (one, other)
-    ]
-    return not shapes[0].isdisjoint(shapes[1])
+    # Bringing a sum under one line is dear.
+    if one.free_symbols != other.free_symbols:
+        return False
+    return not _ways_to_write(one).isdisjoint(_ways_to_write(other))
+
+
+@lru_cache(maxsize=1000)
+def _ways_to_write(expr: sympy.Expr) -> frozenset[sympy.Expr]:
+    """Give the shapes of a formula, and where it is a ratio of the ways to write that."""
+    forms = ratio_forms(sympy.together(expr))
+    return frozenset(skeleton(with_floats(form)) for form in forms)
 
 
 def found_by(source: str) -> str:

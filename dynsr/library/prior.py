@@ -399,8 +399,9 @@ class Prior:
         may_turn = None if angles is None else tuple(angles)
         for state, expr in exprs.items():
             place = Place(state, states, tuple(columns), may_turn)
-            bits += self.bits_together(expr, place, written)
-            written.add(state, read_equation(expr))
+            terms = read_equation(expr)
+            bits += self._together(terms, exact_bits(expr), place, written)
+            written.add(state, terms)
         return bits
 
     def bits_together(self, expr: sympy.Expr, place: Place, written: Written) -> float:
@@ -412,8 +413,12 @@ class Prior:
         place : where it is.
         written : the equations before it.
         """
-        terms = read_equation(expr)
-        alone = self.equation_bits(terms, place, written) + exact_bits(expr)
+        return self._together(read_equation(expr), exact_bits(expr), place, written)
+
+    def _together(
+        self, terms: Sequence[Term], exact: float, place: Place, written: Written
+    ) -> float:
+        alone = self.equation_bits(terms, place, written) + exact
         if not written.equations:
             return alone
         alone += self._says("twin", False)

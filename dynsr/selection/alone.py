@@ -173,12 +173,12 @@ class Alone:
                     bits + constant_bits(rows),
                     rows,
                 )
-                found += [
-                    (s.bits, weighted_sum(s.coefficients, [exprs[i] for i in s.places]) / line)
-                    for s in subsets
-                ]
-        found.sort(key=lambda pair: (pair[0], ByText(pair[1])))
-        return [expr for _, expr in found[: self.comparison.settings.sums]]
+                found += [(subset, line) for subset in subsets]
+        found.sort(key=lambda pair: (pair[0].bits, pair[0].places, ByText(pair[1])))
+        return [
+            weighted_sum(subset.coefficients, [exprs[i] for i in subset.places]) / line
+            for subset, line in found[: self.comparison.settings.sums]
+        ]
 
     def _evidence(self) -> Evidence | None:
         """Give a view of the equation; None where the data do not determine it."""

@@ -65,8 +65,9 @@ def _couple(comparison: SystemComparison, fit: SystemFit) -> Iterator[Equations]
         for two in combinations(own, 2)
         for pair in _say_both(comparison, fit, two, (sympy.sin(angle), sympy.cos(angle)))
     ]
-    pairs.sort(key=lambda pair: (pair[0], *map(ByText, pair[1].values())))
-    yield from (exprs for _, exprs in pairs[:_TRIED])
+    # Most are never written out.
+    pairs.sort(key=lambda pair: pair.bits)
+    yield from (pair.solved() for pair in pairs[:_TRIED])
 
 
 @dataclass(frozen=True)
@@ -82,30 +83,60 @@ class _Said:
     beside: sympy.Expr
 
 
+@dataclass(frozen=True)
+class _SaidByEachOther:
+    """Two equations, each said by the other one.
+
+    ``rest`` is the one of the two waves that is in neither.
+    """
+
+    states: tuple[str, str]
+    said: tuple[_Said, _Said]
+    wave: sympy.Expr
+    rest: sympy.Expr
+
+    @property
+    def bits(self) -> float:
+        """Bits that are expected of both."""
+        return sum(own.bits for own in self.said)
+
+    @property
+    def tie(self) -> float:
+        """The product of both factors."""
+        one, other = self.said
+        return one.size * other.size
+
+    def solved(self) -> Equations:
+        """Give the equations solved for."""
+        own, its = self.said
+        # Over 1 - a b and what is 1 less the square of the wave, nothing can be 0.
+        line = 1 + sympy.Float(self.tie / (1 - self.tie)) * self.rest**2
+        tops = (
+            own.beside + sympy.Float(own.size) * self.wave * its.beside,
+            its.beside + sympy.Float(its.size) * self.wave * own.beside,
+        )
+        share = sympy.Float(1 / (1 - self.tie))
+        pairs = zip(self.states, tops, strict=True)
+        return {state: sympy.expand(share * top) / line for state, top in pairs}
+
+
 def _say_both(
     comparison: SystemComparison,
     fit: SystemFit,
     states: tuple[str, str],
     waves: tuple[sympy.Expr, sympy.Expr],
-) -> Iterator[tuple[float, Equations]]:
-    """Give two equations that are said by each other, solved for, with the bits expected of both.
+) -> Iterator[_SaidByEachOther]:
+    """Give two equations that are said by each other.
 
     Masses are positive: of y' = a c z' + f and z' = b c y' + g, c a wave, a b is between 0 and 1.
     """
     one, other = (_say(comparison, fit, s, by, waves) for s, by in (states, states[::-1]))
     for own, its in product(one, other):
-        tie = own.size * its.size
-        if own.factor == its.factor != (0, 0) and 0 < tie < 1:
+        if own.factor == its.factor != (0, 0):
             wave, rest = waves if own.factor == (1, 0) else waves[::-1]
-            # Over 1 - a b and what is 1 less the square of the wave, nothing can be 0.
-            line = 1 + sympy.Float(tie / (1 - tie)) * rest**2
-            tops = (
-                own.beside + sympy.Float(own.size) * wave * its.beside,
-                its.beside + sympy.Float(its.size) * wave * own.beside,
-            )
-            share = sympy.Float(1 / (1 - tie))
-            exprs = {s: sympy.expand(share * t) / line for s, t in zip(states, tops, strict=True)}
-            yield own.bits + its.bits, exprs
+            both = _SaidByEachOther(states, (own, its), wave, rest)
+            if 0 < both.tie < 1:
+                yield both
 
 
 def _say(
