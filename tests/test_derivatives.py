@@ -150,6 +150,16 @@ def test_own_slopes_are_used_and_checked():
         choose_samples(exact, "y", slopes=slopes[:50, 1])
 
 
+def test_given_slopes_are_as_sure_as_those_of_the_states_show():
+    """Where some are off, they and the rows next to them are as unsure as they are off."""
+    exact, _, slopes = lotka_volterra(GRID)
+    off = np.where((GRID >= 4) & (GRID < 6), 1e-3, 0.0)
+    found = choose_samples(exact, "y", slopes=slopes[:, 1] + off)
+    inside = (found.t > 3.98) & (found.t < 6.01)
+    assert found.slope_sd[inside] == pytest.approx(1e-3, rel=1e-2)
+    assert np.all(found.slope_sd[~inside] < 1e-5)
+
+
 def test_forward_differences_are_known_to_be_biased():
     """Forward differences at dt 0.01 are told apart from good slopes by their bias."""
     exact, _, slopes = lotka_volterra(GRID)

@@ -581,11 +581,15 @@ def _combine(
     choice = choices[target] if own is None else Choice("given", _spread(own[start:stop] - slope))
     y = slope if own is None else own[start:stop]
     t = trajectory.t[start:stop]
-    sd = mine.slope_sd
-    if choice.scheme in CENTRAL:
-        sd = _errors(trajectory, target, choice.scheme)
+    sd, scheme = mine.slope_sd, choices[target].scheme
+    if scheme in CENTRAL:
+        sd = _errors(trajectory, target, scheme)
     if sd is not None:
         sd = sd[start - mine.rows.start : stop - mine.rows.start]
+        if own is not None:
+            # What they differ by from those of the states, but for the errors of these.
+            apart = _with_neighbours(np.abs(y - slope))
+            sd = np.sqrt(np.maximum(apart**2 - sd**2, 0.0))
     return Samples(columns, y, trajectory.names, target, choice.scheme, t, choice.noise, sd)
 
 
@@ -598,8 +602,13 @@ def _errors(trajectory: Trajectory, state: str, scheme: str) -> np.ndarray | Non
     x, sigma = trajectory.x[:, column], float(measurement_noise(trajectory)[column])
     gaps, random = _gaps(t, x, CENTRAL_ORDERS[place - 1], CENTRAL_ORDERS[place], sigma)
     # By chance two orders agree at a row, but not at its neighbours too.
-    gaps = np.lib.stride_tricks.sliding_window_view(np.pad(gaps, 2, mode="edge"), 3)
-    return np.asarray(gaps.max(axis=1) + random)
+    return _with_neighbours(np.pad(gaps, 1, mode="edge")) + random
+
+
+def _with_neighbours(misses: np.ndarray) -> np.ndarray:
+    """Give the largest (n,) misses of each row and the two next to it."""
+    padded = np.pad(misses, 1, mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 3).max(axis=1))
 
 
 def _gaps(
