@@ -26,6 +26,7 @@ from dynsr.fit import (
     simple_numbers,
     skeleton,
     tidy,
+    with_floats,
 )
 from dynsr.jobs import Budget, Turns, collect_by
 from dynsr.methods import AUTO, Demands, choose_methods
@@ -187,7 +188,11 @@ def _discover(
         # The constants of exact states are exact too.
         finer = data.finest / selection.comparison.noisy
         data = data.with_noise(dict.fromkeys(runs[0].states, finer))
-    fit = fit_along(exprs, data, selection.fit.along)
+    # A factor of 1 is a constant too, but for that of the hidden state.
+    rest = exprs[coupling.state] - coupling.term
+    loose = {s: with_floats(e) for s, e in {**exprs, coupling.state: rest}.items()}
+    loose[coupling.state] += coupling.term
+    fit = fit_along(loose, data, selection.fit.along)
     if fit is None:
         raise InputError("no system with a hidden state can be fitted to these data")
     numbers = simple_numbers(fit, [None] * len(fit.constants), selection.fit)
