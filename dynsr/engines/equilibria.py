@@ -1,13 +1,14 @@
 """Equilibria: the fixed points of equations, how they go near there, and along one constant.
 
-Fixed points are sought by Newton's method (MINPACK's hybrid) from points that fill a box evenly
-(Halton 1960), so that all within are found as far as one start comes to each; what lies on a
-whole line of them is said to.
+Fixed points are sought by Newton's method from points that fill a box evenly (Halton 1960), so that
+all within are found as far as one start comes to each; what lies on a whole line of them is said
+to. Damped steps (Levenberg 1944) are taken from all points at once. From where they end too early,
+MINPACK's hybrid goes on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,12 +16,15 @@ import numpy as np
 import sympy
 
 from dynsr.errors import InputError, say_near
-from dynsr.expression import compile_numpy, differentiate
+from dynsr.expression import compile_columns, compile_numpy, differentiate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Box = Mapping[str, tuple[float, float]]
+_EPS = float(np.finfo(float).eps)
+# Factors by which the damping of a step falls after a better one, and grows after a worse one.
+_LESS, _MORE = 8.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class EquilibriumSettings:
     Parameters
     ----------
     starts : points from which a search begins, for each state.
+    steps : Newton steps from each of them.
     wide : share of the box by which the search goes beyond it on either side.
     still : slopes below this share of their size in the box count as 0.
     apart : distance, as a share of the box, from which on two points are two: where three meet, a
@@ -40,6 +45,7 @@ class EquilibriumSettings:
     """
 
     starts: int = 60
+    steps: int = 40
     wide: float = 0.5
     still: float = 1e-9
     apart: float = 2e-3
@@ -194,9 +200,9 @@ def find_fixed_points(
         )
     shift = [sympy.Symbol(s) if discrete else sympy.S.Zero for s in states]
     still = [e - s for e, s in zip(equations.values(), shift, strict=True)]
-    rhs = compile_numpy(still, states)
     columns = [sympy.Symbol(s) for s in states]
-    jacobian = compile_numpy([differentiate(e, c) for e in still for c in columns], states)
+    entries = [differentiate(e, c) for e in still for c in columns]
+    rhs, jacobian = compile_columns(still, states), compile_columns(entries, states)
     k = len(states)
     low, high = np.array([box[s] for s in states], dtype=float).T
     span = np.where(high > low, high - low, np.maximum(np.abs(high), 1.0))
@@ -205,26 +211,33 @@ def find_fixed_points(
     starts = np.concatenate(
         [np.array([[p[s] for s in states] for p in near]).reshape(-1, k), begin + sample * whole]
     )
-    sizes = np.abs(rhs(starts.T))
+    sizes = np.abs(rhs(*starts.T))
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
     scale = np.maximum(np.mean(finite, axis=1), np.finfo(float).tiny)
     found: list[np.ndarray] = []
+
+    def slopes(y: np.ndarray) -> np.ndarray:
+        """(..., k) slopes at points (..., k), in shares of their size and of the box."""
+        return np.asarray(rhs(*(low + y * span).T).T / scale)
+
+    def by_states(y: np.ndarray) -> np.ndarray:
+        """(..., k, k) their derivatives."""
+        own = jacobian(*(low + y * span).T).T
+        return np.asarray(own.reshape(*y.shape, k) * span / scale[:, None])
+
     with np.errstate(all="ignore"):
-        for start in starts[np.all(np.isfinite(sizes), axis=0)]:
-            done = root(
-                lambda y: rhs(low + y * span) / scale,
-                (start - low) / span,
-                jac=lambda y: jacobian(low + y * span).reshape(k, k) * span / scale[:, None],
-            )
-            point = low + done.x * span
+        begun = (starts[np.all(np.isfinite(sizes), axis=0)] - low) / span
+        for end in _distinct(_descend(slopes, by_states, begun, settings.steps), settings.apart):
+            ended = np.all(np.abs(slopes(end)) <= settings.still)
+            point = low + span * (end if ended else root(slopes, end, jac=by_states).x)
             inside = np.all((point >= begin) & (point <= begin + whole))
-            if not inside or not np.all(np.abs(rhs(point)) <= settings.still * scale):
+            if not inside or not np.all(np.abs(rhs(*point)) <= settings.still * scale):
                 continue
             point = np.where(np.abs(point) <= settings.still * span, 0.0, point)
             if all(np.max(np.abs(point - p) / span) > settings.apart for p in found):
                 found.append(point)
     ordered = sorted(found, key=lambda p: tuple(np.round(p / span, 6)))
-    points = [_describe(p, jacobian(p).reshape(k, k), states, discrete, settings) for p in ordered]
+    points = [_describe(p, jacobian(*p).reshape(k, k), states, discrete, settings) for p in ordered]
     # Of a line of fixed points one stands for all.
     alone = [p for p in points if p.kind != DEGENERATE]
     middle = dict(zip(states, (low + high) / 2, strict=True))
@@ -235,6 +248,47 @@ def find_fixed_points(
         ),
     )
     return (*alone, *lines[:1])
+
+
+def _descend(
+    slopes: Callable[[np.ndarray], np.ndarray],
+    by_states: Callable[[np.ndarray], np.ndarray],
+    begun: np.ndarray,
+    steps: int,
+) -> np.ndarray:
+    """Give where damped Newton steps from (n, k) points end."""
+    points, values = begun.copy(), slopes(begun)
+    sizes, damping = np.sum(values**2, axis=1), np.ones(len(begun))
+    for _ in range(steps):
+        matrix = by_states(points)
+        gram = np.einsum("nji,njl->nil", matrix, matrix)
+        pull = np.einsum("nji,nj->ni", matrix, values)
+        fine = np.all(np.isfinite(gram), axis=(1, 2)) & np.all(np.isfinite(pull), axis=1)
+        own = np.einsum("nii->ni", gram).max(axis=1)
+        # Where nothing is left, and where nothing changes, there is no step.
+        told = np.flatnonzero(fine & (sizes > 0) & (own > 0))
+        if not len(told):
+            break
+        eye = np.eye(begun.shape[1])
+        gram = gram[told] + (np.maximum(damping, _EPS)[told] * own[told])[:, None, None] * eye
+        moved = points[told] - np.linalg.solve(gram, pull[told][..., None])[..., 0]
+        there = slopes(moved)
+        left = np.sum(there**2, axis=1)
+        better = left < sizes[told]
+        kept = told[better]
+        points[kept], values[kept], sizes[kept] = moved[better], there[better], left[better]
+        damping[kept] /= _LESS
+        damping[told[~better]] *= _MORE
+    return points
+
+
+def _distinct(points: np.ndarray, apart: float) -> list[np.ndarray]:
+    """Give one of each group of (n, k) points that are so close to each other."""
+    found: list[np.ndarray] = []
+    for point in points:
+        if all(np.max(np.abs(point - own)) > apart / 2 for own in found):
+            found.append(point)
+    return found
 
 
 DEGENERATE = "degenerate"
