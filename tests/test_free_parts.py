@@ -343,10 +343,9 @@ def test_a_function_that_two_equations_share_is_found(noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_characteristic_in_a_driven_circuit_is_found(noise):
-    """A cubic without noise and at 5 %."""
-    found = discover(circuit(noise), known=CIRCUIT, jobs=1)
+def test_a_characteristic_in_a_driven_circuit_is_found():
+    """A cubic at 5 % noise."""
+    found = discover(circuit(0.05), known=CIRCUIT, jobs=1)
     assert found.verdict.level == "law"
     law = sympy.expand(found.free["i"].law)
     v = sympy.Symbol("v")
@@ -589,7 +588,7 @@ def test_a_growth_rate_is_found_in_one_batch(noise, size):
 @pytest.mark.slow
 def test_the_command_line_takes_and_shows_free_functions(tmp_path):
     """--known as in Python; the answer has the function and the constants, of counts near 1e9."""
-    seen = hunt(0.01)
+    seen = hunt(0.01, rows=100)
     table = tmp_path / "data.csv"
     rows = np.column_stack([seen.t, 1e9 * seen.x])
     np.savetxt(table, rows, delimiter=",", header="t,x,y", comments="")

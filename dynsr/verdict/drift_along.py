@@ -7,14 +7,14 @@ the most probable formulas are fitted and compared in bits, as all systems are.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import sympy
 
-from dynsr.data import with_drives
+from dynsr.data import KnownNoise, with_drives
 from dynsr.expression import evaluate
 from dynsr.fit import Measurements, same_form, with_floats
 from dynsr.library import textbooks
@@ -94,7 +94,14 @@ class Along:
         """The trajectories with their noise, and with the time as one more column."""
         course, inputs = self.course, {**self.course.inputs, self._clock.name: TIME}
         runs = [with_drives(run, inputs) for run in course.runs]
-        data = Measurements.of(runs, inputs, sum(map(len, runs)))
+        # How large the noise is needs no estimate; whether it is known is for the data to say.
+        sure = [
+            replace(run, noise={**run.noise, **_as_known(course.states, own)})
+            for run, own in zip(runs, course.noise, strict=True)
+        ]
+        data = Measurements.of(sure, inputs, sum(map(len, runs)))
+        back = [replace(own, noise=run.noise) for own, run in zip(data.runs, runs, strict=True)]
+        data = replace(data, runs=back)
         noise = [np.array(own) for own in data.deviations]
         columns = [runs[0].index(state) for state in course.states]
         for own, told in zip(noise, course.noise, strict=True):
@@ -176,3 +183,9 @@ class Along:
         gain = self._comparison.missed_bits(now.fit) - self._comparison.missed_bits(fit.fit)
         bits = self._bits(fit) - self._bits(now)
         return Drift(expr, bits, say(state, expr, own, times, gain), is_timed(expr, own))
+
+
+def _as_known(states: Sequence[str], noise: np.ndarray) -> dict[str, KnownNoise]:
+    """Give noise (n, k) of states as what is known of those that were measured."""
+    pairs = zip(states, noise.T, strict=True)
+    return {state: KnownNoise(own) for state, own in pairs if np.isfinite(own).any()}
