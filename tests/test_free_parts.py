@@ -588,7 +588,7 @@ def test_a_growth_rate_is_found_in_one_batch(noise, size):
 @pytest.mark.slow
 def test_the_command_line_takes_and_shows_free_functions(tmp_path):
     """--known as in Python; the answer has the function and the constants, of counts near 1e9."""
-    seen = hunt(0.01, rows=100)
+    seen = hunt(0.01)
     table = tmp_path / "data.csv"
     rows = np.column_stack([seen.t, 1e9 * seen.x])
     np.savetxt(table, rows, delimiter=",", header="t,x,y", comments="")

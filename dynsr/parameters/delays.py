@@ -692,8 +692,12 @@ class DelayFit:
 
     @property
     def error(self) -> float:
-        """The standard error of the delay; inf where the data do not determine it."""
-        return math.sqrt(float(self.fit.covariance[-1, -1]))
+        """The standard error of the delay; inf where the data do not determine it.
+
+        Where data are exact, it is at least what times are rounded to.
+        """
+        rounded = float(np.spacing(np.max(np.abs(self.fit.problem.mesh.t))))
+        return max(math.sqrt(float(self.fit.covariance[-1, -1])), rounded)
 
     def errors_of(
         self, equations: Mapping[str, sympy.Expr], sizes: Sequence[float]
