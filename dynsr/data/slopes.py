@@ -605,9 +605,9 @@ def _errors(trajectory: Trajectory, state: str, scheme: str) -> np.ndarray | Non
     return _with_neighbours(np.pad(gaps, 1, mode="edge")) + random
 
 
-def _with_neighbours(misses: np.ndarray) -> np.ndarray:
-    """Give the largest (n,) misses of each row and the two next to it."""
-    padded = np.pad(misses, 1, mode="edge")
+def _with_neighbours(gaps: np.ndarray) -> np.ndarray:
+    """Give the largest (n,) gap of each row and the two next to it."""
+    padded = np.pad(gaps, 1, mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 3).max(axis=1))
 
 
