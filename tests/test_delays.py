@@ -99,9 +99,9 @@ GLASS = Known(
 )
 
 
-def hutchinson(noise=0.0, seed=0, count=401):
-    """Give the delayed logistic equation x' = 1.2 x (1 - x(t - 1.6) / 2)."""
-    return HUTCHINSON.rows(noise, seed, count=count)
+def hutchinson(noise=0.0, seed=0):
+    """Give the delayed logistic equation x' = 1.2 x (1 - x(t - 1.6) / 2) at 401 rows."""
+    return HUTCHINSON.rows(noise, seed)
 
 
 def as_run(pair):
@@ -178,9 +178,9 @@ def test_history_that_the_law_could_explain_takes_more_bits():
 @pytest.mark.slow
 @pytest.mark.parametrize(("system", "noises"), [(HUTCHINSON, (0.01, 0.05)), (GLASS, (0.01, 0.01))])
 def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noises):
-    """Of 12 draws of noise, of the delay and of each constant at most two intervals do not."""
+    """Of 20 draws of noise, 90 % or more of the intervals of the delay and of each constant."""
     inside = np.zeros(1 + len(system.constants))
-    for seed in range(12):
+    for seed in range(20):
         fit = system.fit(system.rows(noises[seed % 2], seed, count=201))
         # Parameters are named without their signs.
         order = np.argsort(np.abs(fit.fit.theta[:-1]))
@@ -188,7 +188,7 @@ def test_95_percent_intervals_contain_the_truth_as_often_as_they_say(system, noi
         errors = np.sqrt(np.diag(fit.fit.covariance))[np.append(order, -1)]
         off = np.abs(values - np.array([*system.constants, system.delay]))
         inside += off < fit.fit.reach * errors
-    assert np.all(inside >= 10)
+    assert np.all(inside >= 18)
 
 
 @pytest.mark.slow
@@ -270,10 +270,10 @@ def test_a_delay_that_takes_far_more_bits_than_one_that_explains_all_is_not_sear
 @pytest.mark.slow
 def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
     """The law, its delay, and its solution from other starts, from the data alone and saved."""
-    found = discover(hutchinson(count=201), delays=True, jobs=1)
+    found = discover(hutchinson(), delays=True, jobs=1)
     assert found.verdict.level == "law"
     own = found.delays["x_delayed"]
-    assert own.low < 1.6 < own.high and own.high - own.low < 1e-4
+    assert own.low < 1.6 < own.high and own.high - own.low < 1e-5
     assert found.equations["x"].coeff(X * BEFORE) == pytest.approx(-0.6, rel=1e-5)
     assert "x(t - 1.6" in str(found)
     t, x = hutchinson()
@@ -288,7 +288,7 @@ def test_hutchinsons_delay_is_found_in_exact_data(tmp_path):
 @pytest.mark.slow
 def test_the_terms_of_a_law_with_a_delay_are_found_in_noise():
     """The true terms and no others, a delay whose interval holds the truth, and the verdict."""
-    found = discover(hutchinson(0.05, count=201), delays=True, jobs=1, preset="quick")
+    found = discover(hutchinson(0.05), delays=True, jobs=1, preset="quick")
     # A whole number may stand for a constant.
     assert skeleton(with_floats(found.equations["x"])) == skeleton(HUTCHINSON.equation)
     assert found.verdict.level == "law"

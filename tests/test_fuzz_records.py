@@ -22,7 +22,7 @@ from dynsr.jobs import to_json
 from dynsr.report.discovery import render_discovery
 
 SEED = int(os.environ.get("DYNSR_FUZZ_SEED", "0"))
-COUNT = 300
+COUNT = 500
 T = np.linspace(0, 6, 61)
 ODD = [
     *(None, True, False, 0, -1, 1.5, 1e308, -1e308, 1e-320, 10**30, "", " ", "x", "law", "map"),

@@ -227,7 +227,7 @@ def test_intervals_hold_the_truth_over_draws(share, every):
     """95 % intervals of the constants hold the truth in 90 to 98 % of draws with empty cells, at
     1 % and 5 % of noise in turn.
     """
-    draws, held = 16, 0
+    draws, held = 30, 0
     for seed in range(draws):
         noise = (0.01, 0.05)[seed % 2]
         runs = carry([cycle(noise, seed, share, every)])

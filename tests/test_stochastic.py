@@ -122,7 +122,7 @@ def test_intervals_hold_the_truth_in_90_to_98_percent(errors):
     inside = []
     for seed in range(16):
         error = errors[seed % 2]
-        run = relaxing(seed, end=30.0, rows=121, error=error * np.sqrt(LEVEL / (2 * RATE)))
+        run = relaxing(seed, rows=201, error=error * np.sqrt(LEVEL / (2 * RATE)))
         series = Series.of([run]) if error else Series.of([run]).apart()
         size = {"x": 0.5 * error} if error else {}
         system = StochasticSystem({"x": -1.1 * X}, {"x": sympy.Float(0.6)}, series, size)
