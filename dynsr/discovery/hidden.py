@@ -189,9 +189,8 @@ def _discover(
         finer = data.finest / selection.comparison.noisy
         data = data.with_noise(dict.fromkeys(runs[0].states, finer))
     # A factor of 1 is a constant too, but for that of the hidden state.
-    rest = exprs[coupling.state] - coupling.term
-    loose = {s: with_floats(e) for s, e in {**exprs, coupling.state: rest}.items()}
-    loose[coupling.state] += coupling.term
+    fixed = {coupling.state: [coupling.term]}
+    loose = {s: with_floats(e, fixed.get(s, ())) for s, e in exprs.items()}
     fit = fit_along(loose, data, selection.fit.along)
     if fit is None:
         raise InputError("no system with a hidden state can be fitted to these data")

@@ -214,7 +214,7 @@ def find_fixed_points(
     sizes = np.abs(rhs(*starts.T))
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
     scale = np.maximum(np.mean(finite, axis=1), np.finfo(float).tiny)
-    found: list[np.ndarray] = []
+    found = []
 
     def slopes(y: np.ndarray) -> np.ndarray:
         """(..., k) slopes at points (..., k), in shares of their size and of the box."""
@@ -227,16 +227,17 @@ def find_fixed_points(
 
     with np.errstate(all="ignore"):
         begun = (starts[np.all(np.isfinite(sizes), axis=0)] - low) / span
-        for end in _distinct(_descend(slopes, by_states, begun, settings.steps), settings.apart):
+        for end in _distinct(
+            _descend(slopes, by_states, begun, settings.steps), settings.apart / 2
+        ):
             ended = np.all(np.abs(slopes(end)) <= settings.still)
             point = low + span * (end if ended else root(slopes, end, jac=by_states).x)
             inside = np.all((point >= begin) & (point <= begin + whole))
-            if not inside or not np.all(np.abs(rhs(*point)) <= settings.still * scale):
-                continue
-            point = np.where(np.abs(point) <= settings.still * span, 0.0, point)
-            if all(np.max(np.abs(point - p) / span) > settings.apart for p in found):
-                found.append(point)
-    ordered = sorted(found, key=lambda p: tuple(np.round(p / span, 6)))
+            if inside and np.all(np.abs(rhs(*point)) <= settings.still * scale):
+                found.append(np.where(np.abs(point) <= settings.still * span, 0.0, point))
+    ordered = sorted(
+        _distinct(found, settings.apart * span), key=lambda p: tuple(np.round(p / span, 6))
+    )
     points = [_describe(p, jacobian(*p).reshape(k, k), states, discrete, settings) for p in ordered]
     # Of a line of fixed points one stands for all.
     alone = [p for p in points if p.kind != DEGENERATE]
@@ -282,11 +283,11 @@ def _descend(
     return points
 
 
-def _distinct(points: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Give one of each group of (n, k) points that are so close to each other."""
+def _distinct(points: Iterable[np.ndarray], apart: float | np.ndarray) -> list[np.ndarray]:
+    """Give the first of each group of (k,) points that are no further apart, state by state."""
     found: list[np.ndarray] = []
     for point in points:
-        if all(np.max(np.abs(point - own)) > apart / 2 for own in found):
+        if all(np.any(np.abs(point - own) > apart) for own in found):
             found.append(point)
     return found
 

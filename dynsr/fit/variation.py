@@ -7,7 +7,7 @@ again until none is better.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -107,12 +107,22 @@ def loosen(expr: sympy.Expr) -> sympy.Expr:
     return sympy.Add(*above) / sympy.Add(*below, last)
 
 
-def with_floats(expr: sympy.Expr) -> sympy.Expr:
+def with_floats(expr: sympy.Expr, fixed: Collection[sympy.Expr] = ()) -> sympy.Expr:
     """Make every coefficient a float again, unless the whole is one bare column or number.
 
-    >>> with_floats(3 * sympy.Symbol("x")), with_floats(sympy.Symbol("x"))
-    (3.0*x, x)
+    Parameters
+    ----------
+    expr : the formula.
+    fixed : terms that stay as they are.
+
+    >>> x = sympy.Symbol("x")
+    >>> with_floats(3 * x), with_floats(x), with_floats(3 * x - x**2, [-(x**2)])
+    (3.0*x, x, -x**2 + 3.0*x)
     """
+    if fixed:
+        terms = sympy.Add.make_args(expr)
+        rest = with_floats(sympy.Add(*(term for term in terms if term not in fixed)))
+        return sympy.Add(rest, *(term for term in terms if term in fixed))
     return expr if expr.is_Symbol or expr.is_Number else loosen(expr)
 
 

@@ -120,13 +120,12 @@ class Along:
 
     def _open(self, equations: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
         """Give equations with free constants and the column in the place of the time."""
-        found = {}
-        for state, expr in equations.items():
-            terms = sympy.Add.make_args(expr)
-            free = with_floats(sympy.Add(*(term for term in terms if term not in self._known)))
-            known = (own for term, own in self._known.items() if term in terms)
-            found[state] = sympy.Add(free, *known).xreplace({TIME: self._clock})
-        return found
+        return {
+            state: with_floats(expr, self._known)
+            .xreplace(self._known)
+            .xreplace({TIME: self._clock})
+            for state, expr in equations.items()
+        }
 
     @cached_property
     def _known(self) -> dict[sympy.Expr, sympy.Expr]:
