@@ -114,9 +114,9 @@ def _usual(values: np.ndarray) -> np.ndarray:
 def is_code(number: float) -> bool:
     """Whether programs write a number where there is no value.
 
-    >>> [is_code(own) for own in (-999.0, -99.9, 9999.0, 1e30, -32768.0, 99.0, -9.0, 1000.0)]
+    >>> [is_code(own) for own in (-999.0, -99.9, 9999.0, 1e30, -32768.0, 99.0, -9.0, 999999.4)]
     [True, True, True, True, True, False, False, False]
     """
     size = abs(number)
     large = size in _POWERS or any(math.isclose(size, end, rel_tol=1e-6) for end in _LARGEST)
-    return large or number in _ENDS or _NINES.fullmatch(f"{number:g}") is not None
+    return large or number in _ENDS or _NINES.fullmatch(f"{number:.15g}") is not None
