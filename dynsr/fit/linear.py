@@ -349,7 +349,7 @@ def know(
     Parameters
     ----------
     values, covariance : as fitted. One of no variance, or of an infinite one, says nothing of the
-        others, which stay as they are.
+        others, which stay as they are; nor is one of infinite covariance moved.
     index, number : which one is known, and what it is.
 
     >>> know(np.array([1.1, 2.0]), np.array([[0.02, 0.01], [0.01, 0.02]]), 0, 1.0)[0]
@@ -360,6 +360,7 @@ def know(
         moved, left = values.copy(), covariance.copy()
         moved[index], left[index], left[:, index] = float(number), 0.0, 0.0
         return moved, left
-    column = covariance[:, index] / variance
-    moved = values + column * (float(number) - values[index])
-    return moved, covariance - np.outer(column, covariance[index])
+    # What may be anything is no better known.
+    own = np.where(np.isfinite(covariance[index]), covariance[index], 0.0)
+    moved = values + own / variance * (float(number) - values[index])
+    return moved, covariance - np.outer(own / variance, own)
