@@ -811,7 +811,8 @@ class Collocation:
             if low is not None and not low.weight < weight < high.weight:
                 weight = math.sqrt(low.weight * high.weight)
             # Where the data determine next to no defect, there is no weight to be sought.
-            if not 0 < weight < math.inf or abs(math.log(weight / one.weight)) < 0.5:
+            change = weight / one.weight
+            if not 0 < change < math.inf or abs(math.log(change)) < 0.5:
                 return
             near = one if low is None else low
             sought = self._weigh(near.states, near.constants, near.point, weight)
