@@ -47,7 +47,7 @@ def test_a_known_number_that_says_nothing_of_others_leaves_them(variance):
 
 
 def test_what_may_be_anything_stays_so_where_another_is_known():
-    """A constant of infinite variance and covariance moves with none, nor changes what others do."""
+    """A constant of infinite variance and covariance moves with none, and moves none."""
     covariance = np.array([[0.02, np.inf, 0.01], [np.inf, np.inf, np.inf], [0.01, np.inf, 0.02]])
     values, left = know(np.array([1.1, 7.0, 2.0]), covariance, 0, 1.0)
     np.testing.assert_allclose(values, [1.0, 7.0, 1.95])

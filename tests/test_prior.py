@@ -59,6 +59,20 @@ def test_every_choice_is_counted_by_hand():
     assert counts["cited"] == {"yes": 1, "no": 1}
     assert counts["twin"] == {"no": 1}
     assert counts["repeated"] == {}
+    assert counts["same inside"] == counts["same factor of a function"] == {}
+    assert counts["same factor of a product"] == {"no": 1}
+
+
+def test_constants_that_terms_share_are_counted_by_hand():
+    """Uptake is growth at one rate; a part like it saturates at a constant of its own."""
+    s, x = sympy.symbols("s x")
+    rate = s * x / (s + 0.4)
+    system = {"s": 2.5 - 1.5 * rate - 0.2 * x, "x": 1.5 * rate - 0.2 * x + 0.3 * s / (s + 0.7)}
+    counts = count([system]).counts
+    assert counts["same inside"] == {"yes": 1, "no": 1}
+    assert counts["same factor of a function"] == {"yes": 1}
+    assert counts["same factor of a column"] == {"yes": 1}
+    assert counts["same factor of a product"] == {}
 
 
 @pytest.mark.parametrize(

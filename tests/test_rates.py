@@ -9,6 +9,7 @@ from measured_systems import floats, measured
 
 from dynsr.expression import parse
 from dynsr.fit import free_constants, skeleton
+from dynsr.library import textbooks
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore
 from dynsr.selection.changes import prune
@@ -36,30 +37,62 @@ def looped():
 
 
 def of(equations, errors):
-    """Bits that equations share, their constants as they stand there, with relative errors."""
+    """What constants save together and its cost, as they are there, with relative errors."""
     exprs = floats(equations)
-    values = np.array(
-        [float(n) for e in exprs.values() for t in e.args for n in t.atoms(sympy.Float)]
-    )
+    values = numbers_of(exprs)
     return shared_bits(exprs, values, np.diag((errors * values) ** 2))
 
 
+def numbers_of(exprs):
+    """The constants of a system in their order."""
+    return np.array([n for e in exprs.values() for n in free_constants(e, "c")[1].values()])
+
+
+def columns_of(exprs):
+    """Values of the states, drawn at random."""
+    rng = np.random.default_rng(1)
+    return {str(s): rng.uniform(0.5, 2.0, 50) for s in exprs}
+
+
+def fluxes_of(exprs):
+    """The fluxes of a system whose constants have errors of 0.01."""
+    numbers = numbers_of(exprs)
+    return fluxes(exprs, numbers, np.full(len(numbers), 0.01), columns_of(exprs))
+
+
 def test_one_rate_has_one_constant():
-    """What leaves x as it enters y has no second constant: 0.5 p |c| / s of its density at 0."""
-    equal = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, 0.01)
-    error = 0.01 * np.sqrt(2)
-    assert equal == pytest.approx([0.0, np.log2(0.5 + 1 / (np.sqrt(2 * np.pi) * error))])
-    apart = of({"x": "-0.5*x*y", "y": "0.6*x*y"}, 0.01)
-    assert apart.sum() == 0
-    unknown = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, np.inf)
-    assert unknown.sum() == 0
+    """What leaves x as it enters y has no second constant, as in a share p of the textbooks.
 
-
-def test_a_flux_is_what_equations_share():
-    """What is in two equations in one proportion is a flux, and the rest is that of each.
-
-    A term whose factor breaks the proportion is in the flux, and in a rest by what it has more.
+    Against 1 - p for one of its own there is p 2 |c| phi(0) / s more, s the difference's error.
     """
+    saved, cost = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, 0.01)
+    same = textbooks().share("same factor of a product")
+    factor = 2 / (np.sqrt(2 * np.pi) * 0.01 * np.sqrt(2))
+    assert saved == {(1,): pytest.approx(np.log2(1 + same / (1 - same) * factor))}
+    assert cost == pytest.approx(-np.log2(1 - same))
+    apart, also = of({"x": "-0.5*x*y", "y": "0.6*x*y"}, 0.01)
+    assert apart == {(1,): pytest.approx(0, abs=1e-9)} and also == cost
+    unknown, _ = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, np.inf)
+    assert unknown == {(1,): 0}
+    assert of({"x": "-0.5*x*y", "y": "0.5*y"}, 0.01) == ({}, 0)
+
+
+def test_one_of_several_earlier_rates_is_named():
+    """A rate that is one of two earlier ones is half as probable: it takes a bit to say which."""
+    one = of({"x": "-0.5*x*y", "y": "0.5*x*y"}, 0.01)[0][(1,)]
+    two = of({"x": "-0.5*x*y", "y": "0.9*x*y", "z": "0.5*x*y"}, 0.01)[0][(2,)]
+    assert 2**two - 1 == pytest.approx((2**one - 1) / 2)
+
+
+def test_constants_inside_are_shared_with_their_signs():
+    """Decay is not the inverse of growth, while what leaves one state enters another."""
+    alike = of({"x": "exp(-0.5*x)", "y": "exp(-0.5*x) + 1"}, 0.01)[0]
+    opposite = of({"x": "exp(-0.5*x)", "y": "exp(0.5*x) + 1"}, 0.01)[0]
+    assert alike[(4,)] > 5 and opposite[(4,)] == 0
+
+
+def test_terms_of_one_proportion_are_a_flux():
+    """What is in two equations in one proportion is a flux, and the rest is that of each."""
     system = floats(
         {
             "a": "0.875*a*b - 2*a*c + 0.5*b*c",
@@ -67,22 +100,33 @@ def test_a_flux_is_what_equations_share():
             "c": "1 - c^2",
         }
     )
-    numbers = [float(n) for e in system.values() for n in free_constants(e, "c")[1].values()]
-    (flux,) = fluxes(system, np.array(numbers), np.full(len(numbers), 0.01))
-    assert flux.parts["a"] == (1.0, system["a"]) and flux.rest["a"] == 0
-    assert flux.parts["b"] == (-1.0, floats({"b": "2*a*c - 0.5*b*c"})["b"])
-    assert flux.rest["b"] == floats({"b": "-1.0*a*b - 0.3*b"})["b"]
-    other = flux.replaced(system, parse("0.7*a*b^2"))
-    assert other["a"].equals(parse("0.7*a*b^2")) and other["c"] == system["c"]
-    assert other["b"].equals(parse("-0.7*a*b^2 - a*b - 0.3*b"))
-    assert fluxes(floats({"x": "0.4*x", "y": "0.3 - 0.2*y"}), np.ones(3), np.ones(3)) == []
-    assert fluxes({"x": parse("v"), **floats({"v": "-4*x - 0.2*v"})}, np.ones(2), np.ones(2)) == []
+    flux, other = fluxes_of(system)
+    assert flux.parts["a"] == (1.0, system["a"] - parse("0.875*a*b"))
+    assert flux.parts["b"] == (pytest.approx(-1), floats({"b": "2*a*c - 0.5*b*c"})["b"])
+    assert flux.rest == {**floats({"a": "0.875*a*b", "b": "-1.875*a*b - 0.3*b"})}
+    assert other.parts["b"] == (pytest.approx(-15 / 7), parse("-1.875*a*b"))
+    moved = flux.replaced(system, parse("0.7*a*b^2"))
+    assert moved["a"].equals(parse("0.7*a*b^2 + 0.875*a*b")) and moved["c"] == system["c"]
+    assert moved["b"].equals(parse("-0.7*a*b^2 - 1.875*a*b - 0.3*b"))
+    assert fluxes_of(floats({"x": "0.4*x", "y": "0.3 - 0.2*y"})) == []
+    assert fluxes_of({"x": parse("v"), **floats({"v": "-4*x - 0.2*v"})}) == []
+
+
+def test_a_proportion_is_that_of_values():
+    """Where constants inside differ, so do the factors of what is one rate in the data."""
+    system = floats({"s": "-1.5*s*x/(s + 0.5)", "x": "3.0*s*x/(s + 1.5) - 0.2*x", "y": "0.1 - y"})
+    (flux,) = fluxes_of(system)
+    columns = columns_of(system)
+    s, x = columns["s"], columns["x"]
+    mine, theirs = -1.5 * s * x / (s + 0.5), 3 * s * x / (s + 1.5)
+    assert flux.parts["x"][0] == pytest.approx((mine @ theirs) / (mine @ mine))
+    assert flux.rest["x"] == parse("-0.2*x")
 
 
 def test_constants_inside_a_rate_are_shared_too():
     """Of Monod's rate in two equations both constants of the second are known from the first."""
-    bits = of({"s": "-1.5*s*x/(s + 0.5)", "x": "1.5*s*x/(s + 0.5) - 0.25*x"}, 0.01)
-    assert np.count_nonzero(bits) == 2
+    saved, _ = of({"s": "-1.5*s*x/(s + 0.5)", "x": "1.5*s*x/(s + 0.5) - 0.25*x"}, 0.01)
+    assert len(saved) == 2 and min(saved.values()) > 4
 
 
 @pytest.mark.slow

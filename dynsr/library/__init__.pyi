@@ -11,11 +11,13 @@ from .prior import (
     textbooks,
     write_down,
 )
+from .repeats import INSIDE, find_repeats
 from .structure import find_coordinates, find_turning, structure_in, structure_of
 from .values import FormValues
 
 __all__ = [
     "FEW",
+    "INSIDE",
     "Form",
     "FormValues",
     "Library",
@@ -26,6 +28,7 @@ __all__ = [
     "Written",
     "exact_bits",
     "find_coordinates",
+    "find_repeats",
     "find_turning",
     "read_body",
     "read_equation",

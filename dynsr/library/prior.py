@@ -5,7 +5,7 @@ an earlier equation has it. A term is a product of factors, and a factor a templ
 v**2, sin(v) or v/(c + v), with columns put in: the state's own, other states, inputs or the time.
 How often each of these choices is made is counted in ``corpus.txt`` (priors by counting: Bartlett
 et al. 2023); what was never seen costs its length too. Constants are not included: their bits
-come from a fit.
+come from a fit. How often two terms of one form share constants is counted here too.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from itertools import permutations
 import sympy
 
 from dynsr.expression import expand_terms, marks, number_bits, parse, unknown_calls
+from dynsr.fit.constants import free_constants
+from dynsr.library.repeats import FACTORS, INSIDE, find_repeats
 
 # Choices that were never made have a share too (Krichevsky and Trofimov 1981).
 _MORE = 0.5
@@ -45,6 +47,8 @@ CHOICES = (
     "cited",
     "repeated",
     "twin",
+    INSIDE,
+    *FACTORS,
 )
 _FILES = files("dynsr.library")
 _CONSTANT = sympy.Symbol("c")
@@ -370,6 +374,18 @@ class Prior:
         """Bits of being one of so many, among all equations."""
         return math.log2(sum(self.counts["terms"].values()) / max(equations, _MORE))
 
+    def share(self, question: str) -> float:
+        """Share of textbooks' answers to a question of CHOICES that are yes.
+
+        Parameters
+        ----------
+        question : the choice.
+
+        >>> textbooks().share("same inside") > textbooks().share("same factor of a column")
+        True
+        """
+        return 2.0 ** -self._says(question, True)
+
     def _says(self, question: str, yes: bool) -> float:
         return self._choices[question].bits("yes" if yes else "no", ("no", "yes"))
 
@@ -613,6 +629,10 @@ def count(systems: Iterable[Mapping[str, sympy.Expr]]) -> Prior:
                         counts["role"].update(f"{role} in {factor.template}" for role in held)
                     factors |= _functions(term)
             written.add(state, terms)
+        sizes = [abs(c) for e in exprs.values() for c in free_constants(e, "c")[1].values()]
+        for repeat in find_repeats(exprs):
+            own, *earlier = ([sizes[i] for i in at] for at in (repeat.own, *repeat.earlier))
+            ask(repeat.choice, own in earlier)
     return Prior(counts)
 
 

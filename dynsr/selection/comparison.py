@@ -340,10 +340,13 @@ class SystemComparison:
         """
         has = self.settings.parts.has
         simple = simplicity_bits(fit.constants, fit.errors) * has("bits-simple")
-        shared = shared_bits(fit.exprs, fit.constants, fit.covariance) * has("bits-shared")
-        saved = np.maximum(simple, shared)
-        told = shortened_bits(fit.information, fit.errors, scales, fit.constants, saved)
-        least = self.structure(fit.exprs) + told
+        saved, cost = dict[tuple[int, ...], float](), 0.0
+        if has("bits-shared"):
+            saved, cost = shared_bits(fit.exprs, fit.constants, fit.covariance)
+        for place, bits in enumerate(simple.tolist()):
+            saved[(place,)] = max(bits, saved.get((place,), 0.0))
+        told = shortened_bits(fit.information, fit.covariance, scales, fit.constants, saved)
+        least = self.structure(fit.exprs) + told + cost
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
         for tie in ties:

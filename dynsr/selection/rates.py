@@ -8,17 +8,18 @@ within their errors, the second says next to nothing new.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 import sympy
+from scipy.stats import multivariate_normal
 
+from dynsr.expression import evaluate
 from dynsr.fit import FINEST, free_constants, skeleton
+from dynsr.library import INSIDE, find_repeats, textbooks
 
-# Shares of the terms of two equations that have one constant: of products, of bare columns.
-_SAME, _BARE = 0.5, 0.2
 _Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]
 # Standard errors beyond which a difference is no noise.
 SIGMA = 3.0
@@ -26,39 +27,43 @@ SIGMA = 3.0
 
 def shared_bits(
     exprs: Mapping[str, sympy.Expr], constants: np.ndarray, covariance: np.ndarray
-) -> np.ndarray:
-    """Bits that each constant (P,) saves because another equation has it too.
+) -> tuple[dict[tuple[int, ...], float], float]:
+    """Bits that constants save because terms of one form often share them, and bits of saying so.
 
-    They are the logarithm of Bayes' factor of one value for both, up to the sign, against two of
-    one size: with the difference d of their sizes and its standard error s it is
-    1 - p + 2 p |c| phi(d/s)/s.
+    A share p of the textbooks' terms that repeat a form has the constants of an earlier one. For k
+    constants with the sizes c and the differences d, of covariance D, values of their own are
+    1 - p probable, and with an earlier place's there is p B more, where B = prod(2 c) N(d; 0, D)
+    is Bayes' factor of one value for both, up to the sign of a factor, against two of one size.
 
     Parameters
     ----------
     exprs : state -> equation with its constants.
     constants, covariance : (P,) and (P, P), in the order of the states and of their appearance.
 
+    Gives what constants save together, by their places, and what all such choices cost.
+
     >>> x, y = sympy.symbols("x y")
     >>> system = {"x": -0.5 * x * y, "y": 0.5 * x * y - 0.3 * y}
-    >>> bits = shared_bits(system, np.array([-0.5, 0.5, -0.3]), 1e-6 * np.eye(3))
-    >>> [round(float(b), 1) for b in bits]
-    [0.0, 7.1, 0.0]
+    >>> saved, cost = shared_bits(system, np.array([-0.5, 0.5, -0.3]), 1e-6 * np.eye(3))
+    >>> {at: round(bits, 1) for at, bits in saved.items()}, round(cost, 1)
+    ({(1,): 8.1}, 1.0)
     """
-    saved = np.zeros(len(constants))
-    known: list[dict[sympy.Expr, list[int]]] = []
-    for own in _terms(exprs, constants):
-        for other in known:
-            for shape, mine in own.items():
-                if shape not in other or not shape.free_symbols:
-                    continue
-                share = _BARE if shape.is_Symbol else _SAME
-                gained = [
-                    _agreement(constants, covariance, first, second, share)
-                    for first, second in zip(other[shape], mine, strict=True)
-                ]
-                saved[mine] = np.maximum(saved[mine], gained)
-        known.append(own)
-    return saved
+    places = _places(exprs, constants)
+    saved: dict[tuple[int, ...], float] = {}
+    cost = 0.0
+    for repeat in find_repeats(exprs):
+        own = places[list(repeat.own)]
+        same = textbooks().share(repeat.choice)
+        signed = repeat.choice == INSIDE
+        factors = [
+            _agreement(constants, covariance, own, places[list(other)], signed)
+            for other in repeat.earlier
+        ]
+        cost -= math.log2(1 - same)
+        key = tuple(own.tolist())
+        bits = math.log2(1 + same / (1 - same) * float(np.mean(factors)))
+        saved[key] = max(bits, saved.get(key, 0.0))
+    return saved, cost
 
 
 @dataclass(frozen=True)
@@ -88,21 +93,27 @@ class Flux:
 
 
 def fluxes(
-    exprs: Mapping[str, sympy.Expr], constants: np.ndarray, errors: np.ndarray
+    exprs: Mapping[str, sympy.Expr],
+    constants: np.ndarray,
+    errors: np.ndarray,
+    columns: Mapping[str, np.ndarray],
 ) -> list[Flux]:
     """Give the sums of terms that equations share, those of most equations first.
 
-    A term whose factors in two equations differ from those of the others by more than their errors
-    is shared with the flux, and there once more by itself. A bare column, as in x' = v, is no flux.
+    Of the terms of one form in two equations, those are a flux whose proportions agree within their
+    errors. The proportion is that of their values, since constants inside may differ. A bare
+    column, as in x' = v, is no flux.
 
     Parameters
     ----------
     exprs : state -> equation with its constants.
     constants, errors : (P,) and their standard errors.
+    columns : name -> (n,) values of what the equations hold.
 
     >>> x, y = sympy.symbols("x y")
     >>> system = {"x": 0.5 * x - 1.5 * x * y, "y": 0.75 * x * y - 0.3 * y}
-    >>> (flux,) = fluxes(system, np.array([0.5, -1.5, 0.75, -0.3]), np.full(4, 0.01))
+    >>> data = {"x": np.array([1.0, 2.0]), "y": np.array([0.5, 0.4])}
+    >>> (flux,) = fluxes(system, np.array([0.5, -1.5, 0.75, -0.3]), np.full(4, 0.01), data)
     >>> flux.parts
     {'x': (1.0, -1.5*x*y), 'y': (-0.5, 0.75*x*y)}
     >>> flux.replaced(system, -2.0 * x * y**2)["y"]
@@ -112,36 +123,65 @@ def fluxes(
     error_of = dict(zip(constants.tolist(), errors.tolist(), strict=True))
     found: dict[frozenset[sympy.Expr], Flux] = {}
     for first, second in combinations(terms, 2):
-        shapes = [x for x in terms[first] if x in terms[second] and x.free_symbols]
-        holders = [s for s, own in terms.items() if shapes and own.keys() >= set(shapes)]
-        if holders and frozenset(shapes) not in found:
-            flux = {shape: terms[holders[0]][shape] for shape in shapes}
-            parts, rest = {}, {}
-            for state in holders:
-                parts[state], rest[state] = _split(terms[state], flux, error_of)
-            found[frozenset(shapes)] = Flux(parts, rest)
+        shares = _proportions(terms[first], terms[second], error_of, columns)
+        for shapes in dict.fromkeys(_agreeing(shares, one) for one in shares):
+            if shapes not in found:
+                found[shapes] = _flux_of(shapes, first, terms, error_of, columns)
     return sorted(found.values(), key=lambda one: -len(one.parts))
 
 
-def _split(
-    own: _Terms, flux: _Terms, error_of: Mapping[float, float]
-) -> tuple[tuple[float, sympy.Expr], sympy.Expr]:
-    """Give the factor that most terms of a flux have in an equation, these terms, and the rest."""
+def _flux_of(
+    shapes: frozenset[sympy.Expr],
+    lead: str,
+    terms: Mapping[str, _Terms],
+    error_of: Mapping[float, float],
+    columns: Mapping[str, np.ndarray],
+) -> Flux:
+    """Give the flux of all equations that have these terms in one proportion to those of a lead."""
+    parts, rest = {}, {}
+    for state, own in terms.items():
+        shares = _proportions(terms[lead], own, error_of, columns)
+        there = {shape: share for shape, share in shares.items() if shape in shapes}
+        sure = min(there, key=lambda one: there[one][1] / abs(there[one][0]), default=None)
+        if sure is not None and _agreeing(there, sure) == shapes:
+            bodies = {shape: number * body for shape, (number, body) in own.items()}
+            parts[state] = there[sure][0], sympy.Add(*(bodies.pop(shape) for shape in there))
+            rest[state] = sympy.Add(*bodies.values())
+    return Flux(parts, rest)
 
-    def apart(shape: sympy.Expr, factor: float) -> tuple[float, bool]:
-        mine, theirs = float(own[shape][0]), float(flux[shape][0])
-        error = math.hypot(error_of.get(mine, 0.0), factor * error_of.get(theirs, 0.0))
-        return mine - factor * theirs, abs(mine - factor * theirs) > SIGMA * error
 
-    factors = [float(own[shape][0] / flux[shape][0]) for shape in flux]
-    factor = min(factors, key=lambda one: sum(apart(shape, one)[1] for shape in flux))
-    shared: list[sympy.Expr] = []
-    left = [n * body for shape, (n, body) in own.items() if shape not in flux]
-    for shape in flux:
-        number, body = own[shape]
-        more, is_apart = apart(shape, factor)
-        (left if is_apart else shared).append((more if is_apart else number) * body)
-    return (factor, sympy.Add(*shared)), sympy.Add(*left)
+def _proportions(
+    own: _Terms,
+    other: _Terms,
+    error_of: Mapping[float, float],
+    columns: Mapping[str, np.ndarray],
+) -> dict[sympy.Expr, tuple[float, float]]:
+    """Give how many times the values of one's own each term of another has, and the error."""
+    found = {}
+    for shape, (number, body) in own.items():
+        if shape not in other or not shape.free_symbols:
+            continue
+        numbers = float(number), float(other[shape][0])
+        with np.errstate(all="ignore"):
+            mine = numbers[0] * evaluate(body, columns)
+            theirs = numbers[1] * evaluate(other[shape][1], columns)
+            factor = float(np.sum(mine * theirs) / np.sum(mine * mine))
+        if math.isfinite(factor) and factor != 0:
+            unsure = math.hypot(*(error_of.get(one, 0.0) / one for one in numbers))
+            found[shape] = factor, abs(factor) * unsure
+    return found
+
+
+def _agreeing(
+    shares: Mapping[sympy.Expr, tuple[float, float]], one: sympy.Expr
+) -> frozenset[sympy.Expr]:
+    """Give the terms whose proportions are that of one of them, within errors."""
+    factor, error = shares[one]
+    return frozenset(
+        shape
+        for shape, (other, unsure) in shares.items()
+        if abs(other - factor) <= SIGMA * math.hypot(error, unsure)
+    )
 
 
 def _by_shape(expr: sympy.Expr) -> _Terms:
@@ -150,38 +190,32 @@ def _by_shape(expr: sympy.Expr) -> _Terms:
     return {skeleton(body): (number, body) for number, body in pairs}
 
 
-def _terms(
-    exprs: Mapping[str, sympy.Expr], constants: np.ndarray
-) -> Iterator[dict[sympy.Expr, list[int]]]:
-    """Give the places of the constants of every equation's terms, by their shapes.
+def _places(exprs: Mapping[str, sympy.Expr], constants: np.ndarray) -> np.ndarray:
+    """Give where each float of a system is among its constants (P,).
 
     Constants are found by their values: their order may change as values are put in.
     """
-    first = 0
+    places: list[int] = []
     for expr in exprs.values():
-        count = len(free_constants(expr, "c")[1])
-        own = constants[first : first + count]
-        found = {}
-        for term in sympy.Add.make_args(expr):
-            coefficient, body = term.as_coeff_Mul()
-            if coefficient.is_Float:
-                shape, inside = free_constants(body, "c")
-                values = [float(coefficient), *inside.values()]
-                found[shape] = [first + int(np.argmin(np.abs(own - v))) for v in values]
-        yield found
-        first += count
+        values = np.array([*free_constants(expr, "c")[1].values()])
+        own = constants[len(places) : len(places) + len(values)]
+        nearest = np.argmin(np.abs(own - values[:, None]), axis=1) if len(values) else []
+        places += [len(places) + int(place) for place in nearest]
+    return np.array(places, dtype=int)
 
 
 def _agreement(
-    constants: np.ndarray, covariance: np.ndarray, first: int, second: int, share: float
+    constants: np.ndarray, covariance: np.ndarray, own: np.ndarray, other: np.ndarray, signed: bool
 ) -> float:
-    pair = covariance[np.ix_([first, second], [first, second])]
-    if not np.all(np.isfinite(pair)):
+    """Give Bayes' factor of some constants being others, against values of one size."""
+    both = np.concatenate([own, other])
+    among, sides = covariance[np.ix_(both, both)], np.sign(constants[both])
+    if not np.all(np.isfinite(among)) or (signed and np.any(constants[own] * constants[other] < 0)):
         return 0.0
-    sides, sizes = np.sign(constants[[first, second]]), np.abs(constants[[first, second]])
-    variance = pair[0, 0] + pair[1, 1] - 2 * sides[0] * sides[1] * pair[0, 1]
-    size = float(sizes.mean())
-    error = max(math.sqrt(max(float(variance), 0.0)), FINEST * size, 1e-300)
-    z = float(sizes[0] - sizes[1]) / error
-    density = math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / error
-    return max(math.log2(1 - share + share * 2 * size * density), 0.0)
+    # Sizes differ by this times all of them.
+    step = np.hstack([np.diag(sides[: len(own)]), -np.diag(sides[len(own) :])])
+    sizes = (np.abs(constants[own]) + np.abs(constants[other])) / 2
+    scaled = step / np.maximum(sizes, 1e-300)[:, None]
+    apart = scaled @ constants[both]
+    variance = scaled @ among @ scaled.T + FINEST**2 * np.eye(len(own))
+    return float(2 ** len(own) * multivariate_normal.pdf(apart, cov=variance, allow_singular=True))

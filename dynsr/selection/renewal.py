@@ -9,7 +9,7 @@ name. Where the residuals are noise, terms of the equation are added, exchanged 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import sympy
@@ -52,16 +52,30 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
     moves = np.any(mesh.start[left] != mesh.start[right], axis=0)
     moving = {s for s, moved in zip(mesh.states, moves, strict=True) if moved}
 
+    def different(fit: SystemFit, systems: Iterable[Equations]) -> Iterator[Equations]:
+        """Give the first systems of other forms than those before them and than the fit."""
+        known = {_form(fit.exprs)}
+        for system in systems:
+            if _form(system) not in known:
+                known.add(_form(system))
+                yield system
+            if len(known) > settings.tried:
+                return
+
     def systems_of(fit: SystemFit) -> Iterator[tuple[str, Equations]]:
         for state in (s for s, expr in fit.exprs.items() if s in moving and not expr.is_Symbol):
-            anew = renewals(comparison, fit, state)[: settings.tried]
-            anew += twins(comparison, fit, state)
+            anew = renewals(comparison, fit, state)
+            changed = (one for e in anew for one in comparison.changed(fit, state, e))
+            yield from ((state, one) for one in different(fit, changed))
+            anew = twins(comparison, fit, state)
             yield from ((state, one) for e in anew for one in comparison.changed(fit, state, e))
-        shared = fluxes(fit.exprs, fit.fit.constants, fit.fit.errors)
+        along = {**comparison.mesh.columns, **dict(zip(mesh.states, fit.fit.states.T, strict=True))}
+        shared = fluxes(fit.exprs, fit.fit.constants, fit.fit.errors, along)
         for flux in shared if settings.parts.has("fluxes") else []:
             others, lead = {**fit.exprs, **flux.rest}, next(iter(flux.parts))
-            anew = _propose(comparison, fit, flux.parts, others)[: settings.tried]
-            yield from ((lead, flux.replaced(fit.exprs, expr)) for expr in anew)
+            anew = _propose(comparison, fit, flux.parts, others)
+            replaced = (flux.replaced(fit.exprs, expr) for expr in anew)
+            yield from ((lead, one) for one in different(fit, replaced))
 
     def renewed(fit: SystemFit) -> Iterator[SystemFit]:
         for state, exprs in systems_of(fit):
@@ -74,7 +88,11 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
                 )
                 yield prune_each(comparison, one, pruned)
 
-    return while_better(renewed, best, gain=settings.gain)
+    return while_better(renewed, prune_each(comparison, best), gain=settings.gain)
+
+
+def _form(exprs: Equations) -> tuple[sympy.Expr, ...]:
+    return tuple(map(skeleton, exprs.values()))
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
