@@ -54,6 +54,7 @@ def test_marks_of_a_missing_value_are_one(mark):
         (("3 \u00d7 10\u2074 cells/mL", "2 \u00d7 10\u2074 cells/mL"), (3e4, 2e4)),
         (("1.5-", "2.25", "1,204.5-"), (-1.5, 2.25, -1204.5)),
         (("*******", "2.25", "3.5"), (NAN, 2.25, 3.5)),
+        (("0.1234-101", "-1.500+103", "3.5"), (0.1234e-101, -1.5e103, 3.5)),
     ],
 )
 def test_powers_signs_and_stars_as_people_and_programs_write_them(cells, wanted):

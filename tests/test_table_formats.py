@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import scipy.io
 import xarray as xr
+from scipy.integrate import solve_ivp
 
 from dynsr.data import assembling, describe, read_trajectories, text
 from dynsr.data.columns import load_columns, read_names_only
@@ -168,6 +169,51 @@ def test_a_table_may_be_in_an_object_of_json(tmp_path, found):
     (tmp_path / "answer.json").write_text(json.dumps(found))
     columns = load_columns(tmp_path / "answer.json")
     assert columns.names == ("t", "x") and columns.values[1].tolist() == COLUMNS["x"]
+
+
+SERIES = [
+    {"metric": {"__name__": n}, "values": [[15 * t, str(t**p)] for t in range(12)]}
+    for n, p in (("queue", 2), ("load", 3))
+]
+GRAPHS = [
+    {"target": n, "datapoints": [[t**p, 15 * t] for t in range(12)]}
+    for n, p in (("queue", 2), ("load", 3))
+]
+
+
+@pytest.mark.parametrize(
+    "found", [{"data": {"result": SERIES}}, GRAPHS], ids=["time first", "last"]
+)
+def test_pairs_of_times_and_values_in_json_are_rows(tmp_path, found):
+    """As databases of monitors answer; which of a pair is the time is that which rises in all."""
+    (tmp_path / "answer.json").write_text(json.dumps(found))
+    columns = load_columns(tmp_path / "answer.json")
+    own = dict(zip(columns.names, columns.values, strict=True))
+    assert own["time"].tolist() == [15 * t for t in range(12)] * 2
+    assert own["value"].tolist() == [t**p for p in (2, 3) for t in range(12)]
+    assert read_trajectories(tmp_path / "answer.json").trajectories[1].x[2].tolist() == [8]
+
+
+def test_json_of_rows_and_of_a_row_for_each_state_is_read(tmp_path):
+    """Lists of numbers have the time first; a solver's states are turned."""
+    (tmp_path / "rows.json").write_text(json.dumps(np.column_stack([T, A, B]).tolist()))
+    check(load_columns(tmp_path / "rows.json"), ("t", "x1", "x2"))
+    (tmp_path / "solved.json").write_text(json.dumps({"t": T.tolist(), "y": X.T.tolist()}))
+    check(load_columns(tmp_path / "solved.json"), ("t", "y1", "y2"))
+
+
+def test_what_solvers_give_is_read_whichever_way_round():
+    """SciPy has a row for each state: alone, with its times, and as the whole solution."""
+    solution = solve_ivp(lambda _, y: -y, (0.0, T[-1]), [1.0, 2.0], t_eval=T)
+    for source in (solution, (solution.t, solution.y), np.vstack([solution.t, solution.y])):
+        (run,) = read_trajectories(source).trajectories
+        np.testing.assert_array_equal(run.t, T)
+        np.testing.assert_array_equal(run.x, solution.y.T)
+    check(load_columns({"t": T, "y": X.T}), ("t", "y1", "y2"))
+    square = np.array([[0.0, 1.0], [1.0, 3.0]])
+    assert load_columns((square[0], square)).values[1].tolist() == [0.0, 1.0]
+    with pytest.raises(InputError, match="do not fit"):
+        read_trajectories((T, X[:5]))
 
 
 @pytest.mark.parametrize(

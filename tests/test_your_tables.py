@@ -304,6 +304,27 @@ FORMS = {
         + "\n",
         {"unit": "days", "states": ["Chile", "Peru"], "rows": N, "note": "the table was turned"},
     ),
+    "dates from left to right behind places.csv": (
+        "Province/State,Country/Region,Lat,Long,"
+        + ",".join(at(k, "%m/%d/%y", days=1) for k in K)
+        + "\n"
+        + ",Chile,-35.7,-71.5,"
+        + ",".join(f"{v:.4f}" for v in RISE)
+        + "\n"
+        + "Victoria,Australia,-37.8,145,"
+        + ",".join(f"{v:.3f}" for v in FALL)
+        + "\n",
+        {"unit": "days", "states": ["value"], "runs": 2, "rows": N, "note": "the table was turned"},
+    ),
+    "years and days in one number.csv": (
+        "yyyyddd,x\n" + rows(lambda k: f"{2023355 + k if k < 11 else 2023990 + k},{FALL[k]:.3f}"),
+        {"time": ("yyyyddd", "days"), "states": ["x"], "to": N - 1.0},
+    ),
+    "names of some columns above those of the others.trc": (
+        "DataRate\tUnits\n100\tmm\nFrame#\tTime\tknee\t\thip\t\n\t\tX1\tY1\tX2\tY2\n\n"
+        + rows(lambda k: f"{k + 1}\t{k / 100}\t" + f"{FALL[k]:.3f}\t{RISE[k]:.4f}\t" * 2),
+        {"time": ("Time", ""), "states": ["X1", "Y1", "X2", "Y2"], "rows": N, "to": (N - 1) / 100},
+    ),
     "sensors called T1 to T8.csv": (
         "when,"
         + ",".join(f"T{k}" for k in range(1, 9))

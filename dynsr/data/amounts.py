@@ -75,6 +75,8 @@ _BEHIND = re.compile(r"(?P<number>\d[\d.,]*)(?P<sign>[-\u2212])")
 # Where a number is too wide for its column, programs in Fortran fill that with stars.
 _STARS = re.compile(r"\*+")
 _MARKED = re.compile(r"\s*[~\u2248]?\s*(?P<number>\S*\d)\s*[*\u2020\u2021\u00a7]{0,3}\s*")
+# Fortran leaves the E of an exponent of three digits out.
+_WIDE_POWER = re.compile(r"([-+]?\d?\.\d{3,})([-+][1-3]\d\d)")
 # A number that a spreadsheet was made to keep as text: ="0.50", '0.50.
 _AS_TEXT = re.compile(r"^=\"(.*)\"$|^'(?=[-+.,\d])(.*)$")
 # A word behind a number that makes it a time of a day or a date.
@@ -201,6 +203,8 @@ def _plain(cell: str) -> str:
     text = _AS_TEXT.sub(r"\1\2", cell.strip())
     if behind := _BEHIND.fullmatch(text):
         return f"-{behind['number']}"
+    if wide := _WIDE_POWER.fullmatch(text):
+        return f"{wide[1]}e{wide[2]}"
     return _POWER.sub(lambda own: f"e{own['plain'] or own['raised'].translate(_RAISED)}", text)
 
 
@@ -211,6 +215,8 @@ def parse_number(cell: str) -> Amount | None:
     ('mg/L', None, None)
     >>> [parse_number(cell).value(".") for cell in ("1.2x10^5", "4 \u00d7 10\u207b\u00b2", "0.5-")]
     [120000.0, 0.04, -0.5]
+    >>> parse_number("0.1234-101").value(".")
+    1.234e-102
     """
     found = _CELL.fullmatch(_plain(cell))
     if found is None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from dynsr.data.limits import Limits
 from dynsr.data.name_parts import bare_name
-from dynsr.data.trajectory import as_floats, as_times, without_mask
+from dynsr.data.trajectory import FEWEST_ROWS, as_floats, as_times, without_mask
 from dynsr.errors import InputError, one_line, printable
 
 # What a file may hold, unpacked. Larger ones would be thinned to MAX_ROWS anyway.
@@ -358,6 +358,7 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
     labels = {k: tuple(map(str, v)) for k, v in arrays.items() if _is_text(v) and k in LABELS}
     names: list[str] = []
     values: list[np.ndarray] = []
+    arrays = upright(arrays)
     single = [k for k, v in arrays.items() if isinstance(v, np.ndarray) and v.ndim == 0]
     for key, value in arrays.items():
         if key in labels or key in single:
@@ -394,6 +395,36 @@ def load_mapping(arrays: Mapping[str, Any], label: str, decimal: str | None = No
     return assemble(names, values, label, notes=notes, inputs=inputs, decimal=decimal)
 
 
+def upright(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn matrices (k, n) next to columns (n,), as solvers write them, so that rows are times.
+
+    Parameters
+    ----------
+    arrays : columns and matrices by name, arrays or lists; what is neither stays as it is.
+
+    >>> upright({"t": [0, 1, 2], "y": [[1, 2, 3], [4, 5, 6]]})["y"]
+    [[1, 4], [2, 5], [3, 6]]
+    """
+
+    def shape(value: Any) -> tuple[int, ...]:
+        if isinstance(value, np.ndarray):
+            return value.shape
+        if not isinstance(value, list) or not value:
+            return ()
+        inner = {len(row) if isinstance(row, list) else 0 for row in value}
+        return (len(value), *(inner - {0})) if len(inner) == 1 else ()
+
+    shapes = {name: shape(value) for name, value in arrays.items()}
+    rows = {own[0] for own in shapes.values() if len(own) == 1 and own[0] > 1}
+    turned = dict(arrays)
+    for name, own in shapes.items():
+        if len(own) == 2 and own[0] not in rows and own[1] in rows:
+            value = arrays[name]
+            is_list = isinstance(value, list)
+            turned[name] = [[*row] for row in zip(*value, strict=True)] if is_list else value.T
+    return turned
+
+
 def _matrix_names(
     key: str, matrix: np.ndarray, labels: Mapping[str, tuple[str, ...]]
 ) -> Sequence[str]:
@@ -420,14 +451,17 @@ def _plain(array: np.ndarray) -> np.ndarray:
 def beside(t: Any, x: Any) -> tuple[np.ndarray, str]:
     """Put times (n,) and states (n,) or (n, k) next to each other as one array (n, 1 + k).
 
-    Gives it with the unit of the times, "" where they are plain numbers. Raises InputError when
-    they are no numbers or their shapes do not fit.
+    States (k, n), as solvers give them, are turned where k is not n. Gives it with the unit of the
+    times, "" where they are plain numbers. Raises InputError when they are no numbers or their
+    shapes do not fit.
 
     >>> beside([0.0, 1.0], [2.0, 3.0])[0].tolist()
     [[0.0, 2.0], [1.0, 3.0]]
     """
     t, unit = as_times(t, "t")
     x = as_floats(x, "x")
+    if x.ndim == 2 and len(x) != len(t) == x.shape[1]:
+        x = x.T
     if t.ndim != 1 or x.ndim not in (1, 2) or len(x) != len(t):
         raise InputError(f"t {t.shape} and x {x.shape} do not fit; give t (n,) and x (n, k)")
     return np.column_stack([t, x]), unit
@@ -451,7 +485,10 @@ def with_times(columns: Columns, t: Any) -> Columns:
 
 
 def load_array(array: np.ndarray, label: str) -> Columns:
-    """Load the columns of an array, the first of which is the time, or of its named fields."""
+    """Load the columns of an array, the first of which is the time, or of its named fields.
+
+    An array of fewer rows than columns whose first row is the time is turned.
+    """
     if array.dtype.names:
         return load_mapping({name: array[name] for name in array.dtype.names}, label)
     if array.ndim != 2 or array.shape[1] < 2:
@@ -459,7 +496,18 @@ def load_array(array: np.ndarray, label: str) -> Columns:
             f"{label} has shape {array.shape} and so no times; give them too: (t, x), time=t, or "
             "an array (n, 1 + k) whose first column they are"
         )
-    return assemble((), [_plain(c) for c in array.T], label)
+    upright = array.T if _is_turned(array) else array
+    return assemble((), [_plain(c) for c in upright.T], label)
+
+
+def _is_turned(array: np.ndarray) -> bool:
+    """Whether the first of a few rows has the times, and the first column none."""
+    rows, columns = array.shape
+    if array.dtype.kind not in "iuf" or not 1 < rows < columns:
+        return False
+    # So few rows show no equation, whatever they are.
+    none = rows < FEWEST_ROWS <= columns or not np.all(np.diff(array[:, 0]) > 0)
+    return bool(none and np.all(np.diff(array[0]) > 0))
 
 
 def generated_names(count: int) -> tuple[str, ...]:

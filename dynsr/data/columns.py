@@ -47,8 +47,9 @@ def load_columns(
     ``.xz``, ``.zip``).
     ``book.xlsx:Sheet 2`` is one sheet of a spreadsheet. Frames are those that narwhals knows, such
     as pandas, polars and pyarrow, and those of xarray; a series of pandas has its times as the
-    index. An array has the time as its first column; a pair ``(t, x)`` is taken apart. What cells
-    say is read (:func:`dynsr.data.cells.read_columns`); columns without a value are left out.
+    index. An array has the time as its first column; a pair ``(t, x)`` is taken apart, and so is
+    what ``scipy.integrate.solve_ivp`` gives. What cells say is read
+    (:func:`dynsr.data.cells.read_columns`); columns without a value are left out.
 
     Parameters
     ----------
@@ -71,6 +72,8 @@ def _load(source: Any, decimal: str | None) -> Columns:
         raise InputError(f"decimal {decimal!r} must be '.' or ','")
     if isinstance(source, Columns):
         return source
+    if isinstance(source, Mapping) and {"t", "y", "t_events", "nfev"} <= source.keys():
+        source = source["t"], source["y"]  # what scipy.integrate.solve_ivp gives
     if isinstance(source, (str, os.PathLike)):
         return _load_file(Path(source), decimal)
     if isinstance(source, Trajectory):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from dynsr.data.assembling import (
     load_frame,
     load_mapping,
     unreadable,
+    upright,
 )
 from dynsr.data.layout import Row, rows_that_are_none, search_layout, settings_of_wells
 from dynsr.data.scientific import fit_rows, load_hdf5, load_mat, load_netcdf, without
@@ -252,6 +255,10 @@ def _table_in(found: Any, label: str, decimal: str | None) -> Columns | None:
     """Give the table that is in a value of JSON, or in the one of its values that has one."""
     import pandas
 
+    if isinstance(found, list) and found and all(isinstance(row, list) for row in found):
+        widths = {*map(len, found)}
+        flat = not any(isinstance(cell, (list, dict)) for row in found for cell in row)
+        return load_array(np.array(found), label) if flat and len(widths) == 1 else None
     if isinstance(found, list):
         rows = bool(found) and all(isinstance(row, dict) for row in found)
         if rows and len(found) == 1 and (own := _table_in(found[0], label, decimal)) is not None:
@@ -265,6 +272,7 @@ def _table_in(found: Any, label: str, decimal: str | None) -> Columns | None:
         same = all(isinstance(row, list) and len(row) == len(names) for row in cells)
         return load_frame(pandas.DataFrame(cells, columns=names), label, decimal) if same else None
     lists = {name: part for name, part in found.items() if isinstance(part, list) and part}
+    lists = upright(lists)
     cells = [cell for part in lists.values() for cell in part]
     if len({*map(len, lists.values())}) == 1 and not any(isinstance(c, dict) for c in cells):
         return load_mapping(lists, label, decimal)
@@ -287,15 +295,47 @@ def frame_of_rows(rows: Sequence[Mapping[str, Any]]) -> Any:
     ----------
     rows : name -> cell, such as ``{"t": 0, "sensor": {"x": 1}}``, which has the columns t and
         sensor_x. Where cells are lists of one length, each is a row of its own, next to the other
-        cells, as ``{"run": "a", "t": [0, 1], "x": [5, 3]}``.
+        cells, as ``{"run": "a", "t": [0, 1], "x": [5, 3]}``. So are pairs of a time and a value,
+        as databases of monitors write them: ``{"name": "load", "values": [[0, 5], [15, 3]]}``.
     """
     import pandas
 
     nested = any(isinstance(cell, Mapping) for row in rows for cell in row.values())
     frame = pandas.json_normalize(list(rows), sep="_") if nested else pandas.DataFrame(rows)
+    frame = _with_pairs_apart(frame)
     lists = [n for n in frame if all(isinstance(cell, list) for cell in frame[n])]
     alike = all(len({*map(len, own)}) == 1 for own in zip(*(frame[n] for n in lists), strict=True))
     return frame.explode(lists, ignore_index=True).infer_objects() if lists and alike else frame
+
+
+def _with_pairs_apart(frame: Any) -> Any:
+    """Give a frame with times and values in the place of the one column of lists of pairs."""
+
+    def is_pairs(cell: Any) -> bool:
+        own = isinstance(cell, list) and bool(cell)
+        return own and all(isinstance(pair, list) and len(pair) == 2 for pair in cell)
+
+    def unevenness(place: int) -> float:
+        """How many times the least step between numbers the largest is; inf for no times."""
+        steps = [b - a for cell in cells for a, b in pairwise(pair[place] for pair in cell)]
+        return max(steps) / min(steps) if steps and min(steps) > 0 else math.inf
+
+    names = [name for name in frame if all(map(is_pairs, frame[name]))]
+    if len(names) != 1 or {"time", "value"} & {*frame}:
+        return frame
+    cells = frame[names[0]]
+    numbers = [
+        place
+        for place in (0, 1)
+        if all(isinstance(pair[place], (int, float)) for cell in cells for pair in cell)
+    ]
+    # Values may rise too; times have steps that are more even.
+    first = min(numbers, key=unevenness, default=0)
+    if not numbers or math.isinf(unevenness(first)):
+        return frame
+    sides = {"time": first, "value": 1 - first}
+    apart = {n: [[pair[j] for pair in cell] for cell in cells] for n, j in sides.items()}
+    return frame.drop(columns=names).assign(**apart)
 
 
 READERS: Mapping[str, Callable[[Path, str | None], Columns]] = {

@@ -218,7 +218,7 @@ class _Look:
     def name(self, codes: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
         """Name the trajectories by the values of columns; by number where those do not decide."""
         first = np.unique(codes, return_index=True)[1]
-        found = [", ".join(self._label(n, row) for n in names) for row in first]
+        found = [", ".join(filter(None, (self._label(n, row) for n in names))) for row in first]
         if not names:
             return tuple(str(i + 1) for i in range(len(first)))
         seen: dict[str, int] = {}

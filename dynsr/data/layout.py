@@ -260,11 +260,16 @@ def _find_head(rows: Sequence[Row], numeric: Sequence[int], width: int) -> list[
 
 
 def _names_groups(row: Row, below: Sequence[Row]) -> bool:
-    """Whether a row names groups of columns: those of the row below have the same names again."""
+    """Whether a row names groups of columns: those of the row below have the same names again.
+
+    So does one that names those columns which have no name below.
+    """
     if not below or row.comment or not set(row.kinds) <= {TEXT, NONE}:
         return False
-    lower = [cell_text(cell) for cell in below[-1].cells]
-    return not _distinct(lower) and _distinct(_join([cell_text(c) for c in row.cells], lower))
+    upper, lower = ([cell_text(cell) for cell in own.cells] for own in (row, below[-1]))
+    if _fills(upper, lower):
+        return True
+    return not _distinct(lower) and _distinct(_join(upper, lower))
 
 
 def _arrange(rows: Sequence[Row], first: int, head: list[Row]) -> Layout:
@@ -342,11 +347,26 @@ def _choose_names(rows: Sequence[Row]) -> tuple[list[str], list[Row]]:
         chosen = short[0]
     names = named[chosen.place]
     above = [r for r in rows if r.place < chosen.place]
+    if above and _fills(upper := named[above[-1].place], names):
+        width = range(max(len(upper), len(names)))
+        pairs = [[own[j] if j < len(own) else "" for own in (names, upper)] for j in width]
+        return [name or group for name, group in pairs], [above[-1], chosen]
     if above and not _distinct(names):
         joined = _join(named[above[-1].place], names)
         if _distinct(joined):
             return joined, [above[-1], chosen]
     return names, [chosen]
+
+
+def _fills(upper: Sequence[str], lower: Sequence[str]) -> bool:
+    """Whether a row names all columns that have no name in the row of names below it, and groups.
+
+    A single cell is a title.
+    """
+    last = max((j for j, name in enumerate(lower) if name), default=-1)
+    blank = [j for j, name in enumerate(lower[:last]) if not name]
+    told = [j for j, name in enumerate(upper) if name]
+    return bool(blank) and {*blank} < {*told} and _distinct(lower)
 
 
 def _join(upper: Sequence[str], lower: Sequence[str]) -> list[str]:

@@ -45,8 +45,11 @@ _OF_NAME = re.compile(
 )
 _NAME = re.compile(rf"(?:{_NAMES})(?:[\W_]+(?:{_NAMES}))*", re.IGNORECASE)
 _DATES = re.compile(
-    r"(.*(date|datum|fecha|timestamp).*|day|tag|yyyymmdd\w*|(date.?)?time)", re.IGNORECASE
+    r"(.*(date|datum|fecha|timestamp).*|day|tag|yyyymmdd\w*|yyyyddd|y(ea)?r?.?doy|(date.?)?time)",
+    re.IGNORECASE,
 )
+# Forms of dates without marks between their parts, and their digits.
+_COMPACT = (("%Y%j", 7), ("%Y%m%d", 8), ("%Y%m%d%H%M", 12), ("%Y%m%d%H%M%S", 14))
 # Years that a number such as 202407 may begin with, and names of such columns.
 _YEARS = (1700, 2300)
 _OF_YEARS = re.compile(r".*week.*|.*month.*|yyyymm|y+_?m+|period|date")
@@ -243,8 +246,8 @@ def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
     numbers : (n,) cells; NaN where empty.
     name : that of the column, which must speak of times.
 
-    Read are 20241231, 202412311405 and 20241231140500; seconds, milli-, micro- and nanoseconds
-    since 1970 of this century; and days as spreadsheets count them.
+    Read are 20241231, 2024366, 202412311405 and 20241231140500; seconds, milli-, micro- and
+    nanoseconds since 1970 of this century; and days as spreadsheets count them.
 
     >>> read_numbers_as_dates(np.array([1.7e12, 1.7e12 + 250]), "timestamp").seconds
     array([0.  , 0.25])
@@ -259,7 +262,7 @@ def read_numbers_as_dates(numbers: np.ndarray, name: str) -> Moments | None:
         if parts is not None:
             return Moments(parts)
     if whole and _DATES.fullmatch(name.strip()):
-        for form, digits in (("%Y%m%d", 8), ("%Y%m%d%H%M", 12), ("%Y%m%d%H%M%S", 14)):
+        for form, digits in _COMPACT:
             century = there // 10.0 ** (digits - 2)
             if np.all((century >= 10) & (century < 30)):
                 found = _read_compact(numbers, form)

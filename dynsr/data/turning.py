@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -29,7 +30,8 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
 
     The names of most columns, or the cells of its first row, are then times that rise, and each of
     those columns holds numbers. One column before them names the quantity, or the run, of each row.
-    Further ones name runs. Gives the columns and a sentence on what was done.
+    Further ones name runs. Where the names are dates, or have units of time, numbers before them
+    are parameters of the rows. Gives the columns and a sentence on what was done.
 
     >>> names = ("species", *(f"t{k}" for k in range(8)))
     >>> cells = [np.array([1.0, 2.0])] * 8
@@ -39,16 +41,22 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     """
     named, remarks = _with_head(columns)
     own = dict(zip(named.names, named.values, strict=True))
-    times, first = None, 0
+    times, first, dated = None, 0, False
     for first, name in enumerate(named.names):
         times = _read_moments(named.names[first:]) if _is_moment(name) else None
         # What is measured stands before no moments: one look at a wide table is enough.
         if times is not None or _is_measured(name, own[name]):
             break
+    if times is None:
+        first = len(named.names) - sum(1 for _ in takewhile(_is_moment, reversed(named.names)))
+        # Numbers may count what was measured again and again at the times of a column.
+        dated = not all(map(_is_number, named.names[first:]))
+        times = _read_moments(named.names[first:]) if dated else None
     moments, labels = named.names[first:], named.names[:first]
     if times is None or len(moments) < FEWEST_ROWS:
         return columns, []
-    if any(_may_be_time(name, own[name]) for name in labels):
+    given = [name for name in labels if dated and own[name].dtype.kind == "f"]
+    if any(_may_be_time(name, own[name]) for name in labels if name not in given):
         return columns, []
     numbers = [values.dtype.kind == "f" for values in named.values[first:]]
     names = [name for name in labels if is_text(own[name]) or is_label_name(name)]
@@ -69,6 +77,7 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
         what = "A row" if len(remarks) == 1 else f"{len(remarks)} rows"
         was = "was" if len(remarks) == 1 else "were"
         notes.append(f"{what} with a single cell, such as {quoted(remarks[0])}, {was} skipped.")
+    names += [name for name in given if np.isfinite(own[name]).any() and name not in names]
     return _turn(named, times, table, names, limits), notes
 
 
@@ -151,6 +160,14 @@ def _is_measured(name: str, values: np.ndarray) -> bool:
 
 def _is_moment(name: str) -> bool:
     return any(map(str.isdigit, name)) and not _BLANK.fullmatch(name)
+
+
+def _is_number(name: str) -> bool:
+    try:
+        float(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_moments(names: Sequence[str]) -> tuple[np.ndarray, str] | None:
