@@ -5,8 +5,8 @@ import pytest
 import sympy
 from measured_systems import measured
 
-from dynsr.expression import parse
-from dynsr.fit import Linearised, skeleton, with_floats
+from dynsr.expression import parse, skeleton
+from dynsr.fit import Linearised, with_floats
 from dynsr.selection import explore
 from dynsr.selection.alone import Alone
 from dynsr.selection.comparison import COMPARISON

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from dynsr.data.trajectory import Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.discovery.search import discover
+from dynsr.expression import free_constants
 from dynsr.expression.parsing import parse
-from dynsr.fit.constants import free_constants
 from dynsr.fit.polishing import polish
 from dynsr.fit.settings import FitSettings
 from dynsr.fit.simple import simple_value

@@ -8,8 +8,8 @@ import dynsr
 from dynsr.benchmarks.noise import compare_formulas
 from dynsr.data import System
 from dynsr.engines import add_noise
-from dynsr.expression import evaluate, parse
-from dynsr.fit import Measurements, skeleton, with_floats
+from dynsr.expression import evaluate, parse, skeleton
+from dynsr.fit import Measurements, with_floats
 from dynsr.selection.comparison import SystemComparison
 from dynsr.selection.couplings import try_couplings
 from dynsr.selection.mass_matrix import find_couplings, read_ratio, slope_of

@@ -14,13 +14,13 @@ import sympy
 from scipy.integrate import solve_ivp
 
 from dynsr import Discovery, InputError, Trajectory, discover, load
+from dynsr.expression import skeleton
 from dynsr.fit import (
     DelayedSystem,
     MixedMesh,
     ParetoFront,
     drives_of,
     measure_runs,
-    skeleton,
 )
 from dynsr.parameters.delays import Delay, Delayed, DelaySettings
 from dynsr.selection import ComparisonSettings

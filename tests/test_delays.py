@@ -17,13 +17,12 @@ from dynsr import Discovery, InputError, Trajectory, discover, load
 from dynsr.discovery import delayed as delayed_search
 from dynsr.discovery.delayed import _begin, _Begun, search_delayed
 from dynsr.discovery.options import Options
-from dynsr.expression import parse
+from dynsr.expression import parse, skeleton
 from dynsr.fit import (
     DelayedSystem,
     MixedMesh,
     ParetoFront,
     measure_runs,
-    skeleton,
     with_floats,
 )
 from dynsr.jobs import TimeUp

@@ -5,8 +5,7 @@ import pytest
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import Vocabulary, evaluate, parse
-from dynsr.fit import skeleton
+from dynsr.expression import Vocabulary, evaluate, parse, skeleton
 from dynsr.methods import Limits
 from dynsr.selection import look
 

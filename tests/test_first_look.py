@@ -8,8 +8,14 @@ from measured_systems import run
 
 import dynsr
 from dynsr.data import choose_samples, join_samples
-from dynsr.expression import evaluate, parse, ratio_forms
-from dynsr.fit import Shooting, approach, confirm, simplest_form, skeleton, with_floats
+from dynsr.expression import evaluate, parse, ratio_forms, skeleton
+from dynsr.fit import (
+    Shooting,
+    approach,
+    confirm,
+    simplest_form,
+    with_floats,
+)
 from dynsr.library import structure_in
 from dynsr.selection import look
 

@@ -8,13 +8,12 @@ from scipy.optimize import minimize_scalar
 
 import dynsr
 from dynsr.data import Trajectory, choose_samples, diagnose, measurement_noise
-from dynsr.expression import evaluate, parse
+from dynsr.expression import evaluate, parse, skeleton
 from dynsr.fit import (
     Collocation,
     CollocationSettings,
     Measurements,
     Mesh,
-    skeleton,
     with_floats,
 )
 from dynsr.selection import look

@@ -5,8 +5,8 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.trajectory import Trajectory
 from dynsr.errors import InputError
+from dynsr.expression import free_constants
 from dynsr.expression.parsing import parse
-from dynsr.fit.constants import free_constants
 from dynsr.fit.flow import Flow, cut_windows
 from dynsr.fit.shooting import Shooting, build_shooting, match_trajectories, prepare
 

@@ -24,8 +24,12 @@ from dynsr.data import (
     write_csv,
 )
 from dynsr.errors import DynsrWarning
-from dynsr.expression import parse
-from dynsr.fit import Measurements, fit_along, match_trajectories, skeleton
+from dynsr.expression import parse, skeleton
+from dynsr.fit import (
+    Measurements,
+    fit_along,
+    match_trajectories,
+)
 from dynsr.report.plots import draw_phase_portrait, draw_states
 from dynsr.verdict.flow_verdict import give_verdict
 from dynsr.verdict.maps import pair_rows

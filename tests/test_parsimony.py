@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from dynsr.data.samples import Samples
 from dynsr.data.slopes import choose_samples
 from dynsr.data.trajectory import Trajectory
+from dynsr.expression import skeleton
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import score_candidate
-from dynsr.fit.constants import skeleton
 from dynsr.fit.noise import Noise, noise_of
 from dynsr.fit.parsimony import collapse, limits
 from dynsr.selection.pick import pick_equation

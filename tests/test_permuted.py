@@ -10,8 +10,8 @@ import sympy
 from measured_systems import floats, measured
 
 from dynsr.data import Trajectory
-from dynsr.expression import parse
-from dynsr.fit import Measurements, skeleton
+from dynsr.expression import parse, skeleton
+from dynsr.fit import Measurements
 from dynsr.library import read_equation, write_down
 from dynsr.selection import ComparisonSettings, compare_systems
 from dynsr.selection.changes import prune

@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 
 from dynsr.data.samples import Samples
 from dynsr.data.trajectory import Trajectory
+from dynsr.expression import free_constants
 from dynsr.expression.parsing import parse
 from dynsr.fit.candidates import Candidate
 from dynsr.fit.collocation import Measurements
-from dynsr.fit.constants import free_constants
 from dynsr.fit.description import Noise
 from dynsr.fit.polishing import polish, simple_numbers
 from dynsr.fit.settings import FIT

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy
 
-from dynsr.fit import skeleton
+from dynsr.expression import skeleton
 from dynsr.library import Place
 from dynsr.selection.evidence import Evidence
 from dynsr.selection.propose import PROPOSALS, ProposalSettings, propose

@@ -7,8 +7,7 @@ import pytest
 import sympy
 from measured_systems import floats, measured
 
-from dynsr.expression import parse
-from dynsr.fit import free_constants, skeleton
+from dynsr.expression import free_constants, parse, skeleton
 from dynsr.library import textbooks
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings, compare_systems, explore

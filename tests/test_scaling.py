@@ -8,8 +8,9 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.scaling import Units
 from dynsr.discovery.search import discover
 from dynsr.errors import InputError
+from dynsr.expression import free_constants
 from dynsr.expression.parsing import parse
-from dynsr.fit import free_constants, loosen
+from dynsr.fit import loosen
 from dynsr.methods import RationalSearch
 
 T = np.linspace(0.0, 10.0, 100)

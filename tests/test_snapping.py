@@ -3,10 +3,11 @@ import pytest
 import sympy
 
 from dynsr.data.samples import Samples
+from dynsr.expression import skeleton
 from dynsr.expression.parsing import parse
 from dynsr.expression.writing import to_text
 from dynsr.fit.candidates import score_candidate
-from dynsr.fit.constants import refit, skeleton
+from dynsr.fit.constants import refit
 from dynsr.fit.description import Noise
 from dynsr.fit.snapping import (
     normal_forms,

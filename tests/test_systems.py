@@ -14,8 +14,12 @@ from dynsr.data import Trajectory
 from dynsr.discovery import discover
 from dynsr.discovery.orders import Form
 from dynsr.discovery.problem import DISCOVERY, Problem
-from dynsr.expression import parse
-from dynsr.fit import Collocation, Measurements, skeleton, with_floats
+from dynsr.expression import parse, skeleton
+from dynsr.fit import (
+    Collocation,
+    Measurements,
+    with_floats,
+)
 from dynsr.jobs import Budget
 from dynsr.library import write_down
 from dynsr.methods.demands import read_demands

@@ -14,8 +14,8 @@ from dynsr.data import Trajectory
 from dynsr.data.system import CART_POLE
 from dynsr.discovery import discover
 from dynsr.engines import simulate
-from dynsr.expression import compile_columns, evaluate, parse
-from dynsr.fit import Measurements, skeleton
+from dynsr.expression import compile_columns, evaluate, parse, skeleton
+from dynsr.fit import Measurements
 from dynsr.library import find_turning
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings

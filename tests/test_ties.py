@@ -5,7 +5,8 @@ import pytest
 import sympy
 from measured_systems import floats, measured
 
-from dynsr.fit import free_constants, polish
+from dynsr.expression import free_constants
+from dynsr.fit import polish
 from dynsr.fit.settings import FIT
 from dynsr.fit.ties import find_ties
 

@@ -9,8 +9,7 @@ from looking import look_twice
 from measured_systems import floats, measured
 
 from dynsr.data import Samples
-from dynsr.expression import evaluate, parse
-from dynsr.fit import skeleton
+from dynsr.expression import evaluate, parse, skeleton
 from dynsr.library import Library
 from dynsr.methods.demands import read_demands
 from dynsr.selection import ComparisonSettings

@@ -12,8 +12,12 @@ import sympy
 from dynsr.data import Samples, Trajectory
 from dynsr.discovery.result import Discovery
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, shown, to_text
-from dynsr.fit import ParetoFront, free_constants, loosen, score_candidate
+from dynsr.expression import evaluate, free_constants, shown, to_text
+from dynsr.fit import (
+    ParetoFront,
+    loosen,
+    score_candidate,
+)
 from dynsr.methods import AbstractMethod, AskedMethod, Demands
 from dynsr.selection import SelectionSettings
 

@@ -19,8 +19,8 @@ from dynsr.discovery.options import Options, Search
 from dynsr.discovery.problem import DISCOVERY
 from dynsr.discovery.result import Discovery, ended_early
 from dynsr.errors import InputError
-from dynsr.expression import shown
-from dynsr.fit import skeleton, tidy
+from dynsr.expression import shown, skeleton
+from dynsr.fit import tidy
 from dynsr.jobs import Budget, finish_by
 from dynsr.parameters import Delayed, DelayFit, leaves_only_noise
 from dynsr.selection import ComparisonSettings

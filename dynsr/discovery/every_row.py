@@ -24,13 +24,12 @@ from dynsr.data import (
 )
 from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, with_words
-from dynsr.expression import differentiate, evaluate
+from dynsr.expression import differentiate, evaluate, free_constants
 from dynsr.fit import (
     FitSettings,
     RowsFit,
     confirm,
     fit_blocks,
-    free_constants,
     interval_reach,
     is_noisy,
     loosen_all,

@@ -26,7 +26,7 @@ from dynsr.discovery.problem import DiscoverySettings
 from dynsr.discovery.result import Discovery, keep_if_asked
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, shown, to_text
+from dynsr.expression import evaluate, free_constants, shown, skeleton, to_text
 from dynsr.fit import (
     CurvedFit,
     CurvedSettings,
@@ -44,14 +44,12 @@ from dynsr.fit import (
     first_numbers,
     fit_curved,
     flat_curves,
-    free_constants,
     loosen_all,
     measure_runs,
     refit,
     refit_curved,
     score_candidate,
     simple_numbers,
-    skeleton,
     tidy,
     with_floats,
 )

@@ -17,14 +17,13 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.unmeasured import describe_hidden, number_runs, with_columns
 from dynsr.engines import find_engine
 from dynsr.errors import InputError
-from dynsr.expression import check_name, to_text
+from dynsr.expression import check_name, skeleton, to_text
 from dynsr.fit import (
     Measurements,
     ParetoFront,
     fit_along,
     interval_reach,
     simple_numbers,
-    skeleton,
     tidy,
     with_floats,
 )

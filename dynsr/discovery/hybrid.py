@@ -18,11 +18,12 @@ from dynsr.expression import (
     call_names,
     compile_scalar,
     evaluate,
+    free_constants,
     take_inputs,
     to_text,
     with_signs,
 )
-from dynsr.fit import ParetoFront, free_constants
+from dynsr.fit import ParetoFront
 from dynsr.methods import AbstractMethod, make_method
 from dynsr.verdict import ABSTOL, RELTOL, Measured
 

@@ -28,7 +28,7 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.tasks import (
     Found,
 )
-from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms
+from dynsr.expression import compile_numpy, evaluate, has_pole, ratio_forms, skeleton
 from dynsr.fit import (
     Candidate,
     FitSettings,
@@ -50,7 +50,6 @@ from dynsr.fit import (
     refit,
     same_form,
     score_candidate,
-    skeleton,
     slope_size,
     tidy,
     with_floats,

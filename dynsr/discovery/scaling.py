@@ -20,8 +20,14 @@ from dynsr.discovery.result import Discovery
 from dynsr.discovery.start import Start
 from dynsr.discovery.unmeasured import coupling_of
 from dynsr.errors import InputError
-from dynsr.expression import expand_terms, parse
-from dynsr.fit import Candidate, ParetoFront, free_constants, loosen, read_inputs, tidy
+from dynsr.expression import expand_terms, free_constants, parse
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    loosen,
+    read_inputs,
+    tidy,
+)
 from dynsr.parameters import Ends, printed_order
 from dynsr.verdict import OtherFormula, Verdict
 

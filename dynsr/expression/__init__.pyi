@@ -1,4 +1,5 @@
 from .bits import LARGEST_IN_FRACTION, REAL_RESOLUTION, complexity, number_bits
+from .constants import free_constants, skeleton
 from .curves import Curve, write_out
 from .dimensions import Unit, Units, bare_term, read_units
 from .evaluation import (
@@ -68,6 +69,7 @@ __all__ = [
     "differentiate",
     "evaluate",
     "expand_terms",
+    "free_constants",
     "has_pole",
     "julia_code",
     "left_of",
@@ -79,6 +81,7 @@ __all__ = [
     "read_units",
     "round_constants",
     "shown",
+    "skeleton",
     "slope_latex",
     "take_inputs",
     "to_latex",

@@ -10,7 +10,7 @@ from .collocation import (
     Probes,
     fit_along,
 )
-from .constants import free_constants, one_of_each_shape, refit, skeleton
+from .constants import one_of_each_shape, refit
 from .curved import (
     CURVED,
     CurvedFit,
@@ -176,7 +176,6 @@ __all__ = [
     "fit_ratio",
     "fit_robustly",
     "flat_curves",
-    "free_constants",
     "improve",
     "independent_rows",
     "interval_reach",
@@ -216,7 +215,6 @@ __all__ = [
     "simple_numbers",
     "simplest_form",
     "simplicity_bits",
-    "skeleton",
     "slope_size",
     "snap_best",
     "structure_bits",

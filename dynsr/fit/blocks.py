@@ -21,8 +21,8 @@ from scipy.linalg import LinAlgError
 from scipy.special import chdtri
 
 from dynsr.data import SmoothedTrajectory, StateNoise, Trajectory, carry
+from dynsr.expression import free_constants
 from dynsr.fit.collocation import Collocation, Measurements, covariance_of
-from dynsr.fit.constants import free_constants
 from dynsr.fit.noise import FLOOR
 from dynsr.fit.polishing import simple_numbers
 from dynsr.fit.settings import FIT, FitSettings

@@ -40,9 +40,8 @@ from dynsr.data import (
     told_rows,
     within_limits,
 )
-from dynsr.expression import Program, compile_columns
+from dynsr.expression import Program, compile_columns, free_constants
 from dynsr.fit.censored import Censored, deviance
-from dynsr.fit.constants import free_constants
 from dynsr.fit.linear import DAMPED, DAMPING, ROUNDING, invert_normal
 from dynsr.fit.noise import FLOOR
 from dynsr.fit.settings import FIT, CollocationSettings

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import compile_numpy, differentiate
+from dynsr.expression import compile_numpy, differentiate, free_constants, skeleton
 from dynsr.fit.linear import ROUNDING, cauchy_scale, cauchy_weights, fit_columns
 
 # A residual that is not a finite number counts as this many times the size of the target.
@@ -24,54 +24,6 @@ _SHARES = (1.0, 0.3, 0.1, 0.01)
 _GAIN, _PLAIN_GAIN = 1e-6, 1e-12
 # Share of a scale below which a smaller one is worth another fit.
 _LESS = 0.9
-
-
-def free_constants(expr: sympy.Expr, prefix: str) -> tuple[sympy.Expr, dict[sympy.Symbol, float]]:
-    """Put a symbol in the place of every float; give the template and the symbols' values.
-
-    Every occurrence gets its own symbol. Integers, rationals, pi and exponents that are whole
-    numbers belong to the structure and stay.
-
-    >>> template, values = free_constants(sympy.Float(2.5) * sympy.Symbol("x"), "c")
-    >>> template, list(values.values())
-    (c0*x, [2.5])
-    """
-    template, values = _free_constants(expr, prefix)
-    return template, dict(values)
-
-
-@lru_cache(maxsize=4096)
-def _free_constants(
-    expr: sympy.Expr, prefix: str
-) -> tuple[sympy.Expr, tuple[tuple[sympy.Symbol, float], ...]]:
-    values: dict[sympy.Symbol, float] = {}
-
-    def replaced(node: sympy.Expr) -> sympy.Expr:
-        if node.is_Float:
-            symbol = sympy.Symbol(f"{prefix}{len(values)}")
-            values[symbol] = float(node)
-            return symbol
-        if not node.args:
-            return node
-        if node.is_Pow and node.exp.is_Float and float(node.exp).is_integer():
-            return node.func(replaced(node.base), sympy.Integer(int(node.exp)))
-        found = [replaced(argument) for argument in node.args]
-        # SymPy builds a node anew in a hundred times the time that this takes.
-        kept = all(new is old for new, old in zip(found, node.args, strict=True))
-        return node if kept else node.func(*found)
-
-    return replaced(expr), tuple(values.items())
-
-
-# Systems differ in one equation from those before them.
-@lru_cache(maxsize=4096)
-def skeleton(expr: sympy.Expr) -> sympy.Expr:
-    """Write a formula with all its floats alike; formulas of one shape have one skeleton.
-
-    >>> skeleton(sympy.sympify("2.5*x + 1.1")) == skeleton(sympy.sympify("0.3*x - 7.0"))
-    True
-    """
-    return expr.xreplace(dict.fromkeys(expr.atoms(sympy.Float), sympy.pi))
 
 
 def one_of_each_shape(exprs: Iterable[sympy.Expr]) -> list[sympy.Expr]:

@@ -23,9 +23,8 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, complexity
+from dynsr.expression import ByText, complexity, free_constants
 from dynsr.fit.candidates import Candidate
-from dynsr.fit.constants import free_constants
 from dynsr.fit.linear import invert_normal
 from dynsr.fit.noise import Noise, noise_of, residuals
 

@@ -16,9 +16,8 @@ import sympy
 
 from dynsr.data import Samples, Trajectory, columns_of
 from dynsr.errors import InputError
-from dynsr.expression import compile_columns, ratio_forms
+from dynsr.expression import compile_columns, free_constants, ratio_forms
 from dynsr.fit.candidates import Candidate, score_candidate
-from dynsr.fit.constants import free_constants
 from dynsr.fit.description import structure_bits
 from dynsr.fit.linear import ROUNDING
 from dynsr.fit.settings import FIT, FitSettings

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 
 import sympy
 
-from dynsr.expression import bare_term, expand_terms
-from dynsr.fit.constants import skeleton
+from dynsr.expression import bare_term, expand_terms, skeleton
 
 
 def missing_terms(expr: sympy.Expr, terms: Iterable[sympy.Expr]) -> list[sympy.Expr]:

@@ -12,9 +12,9 @@ import sympy
 from scipy.special import chdtrc, chdtri
 
 from dynsr.data import Samples, Trajectory
-from dynsr.expression import complexity, number_bits
+from dynsr.expression import complexity, free_constants, number_bits
 from dynsr.fit.collocation import AlongFit, Measurements, fit_along
-from dynsr.fit.constants import as_floats, free_constants
+from dynsr.fit.constants import as_floats
 from dynsr.fit.description import data_bits, shift_bits, written_bits, written_constant
 from dynsr.fit.linear import know
 from dynsr.fit.noise import NOISY, Noise, is_noisy, noise_and_spread, residual_noise

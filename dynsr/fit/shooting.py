@@ -16,8 +16,7 @@ import sympy
 from dynsr.data import Trajectory, carry, robust_scale
 from dynsr.engines import Drive, jumps_of
 from dynsr.errors import InputError
-from dynsr.expression import compile_numpy, parse
-from dynsr.fit.constants import free_constants
+from dynsr.expression import compile_numpy, free_constants, parse
 from dynsr.fit.flow import PLAIN, Flow, Pace, Track, Windows, cut_windows
 from dynsr.fit.linear import DAMPED, DAMPING, ROUNDING, cauchy_weights
 from dynsr.fit.noise import independent_rows, is_noisy, noise_and_spread, spread_of

@@ -26,9 +26,14 @@ from dynsr.expression import (
     marks,
     number_bits,
     round_constants,
+    skeleton,
 )
 from dynsr.fit.candidates import Candidate, score_candidate
-from dynsr.fit.constants import Template, as_floats, refit, skeleton
+from dynsr.fit.constants import (
+    Template,
+    as_floats,
+    refit,
+)
 from dynsr.fit.description import data_bits, description_length, shift_bits
 from dynsr.fit.noise import Noise, noise_of
 from dynsr.fit.settings import FIT, FitSettings

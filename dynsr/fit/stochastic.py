@@ -22,9 +22,8 @@ import sympy
 from scipy.linalg import LinAlgError
 
 from dynsr.data import Trajectory
-from dynsr.expression import Program, compile_columns
+from dynsr.expression import Program, compile_columns, free_constants
 from dynsr.fit.collocation import covariance_of, usual_scales
-from dynsr.fit.constants import free_constants
 from dynsr.fit.description import precision_bits
 from dynsr.fit.shooting import drives_of
 

@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 from scipy.special import chdtri
 
-from dynsr.fit.constants import skeleton
+from dynsr.expression import skeleton
 from dynsr.fit.settings import FitSettings
 
 Names = dict[sympy.Symbol, sympy.Symbol]

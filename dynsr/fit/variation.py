@@ -14,9 +14,9 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, Vocabulary, complexity, expand_terms
+from dynsr.expression import ByText, Vocabulary, complexity, expand_terms, skeleton
 from dynsr.fit.candidates import Candidate, score_candidate
-from dynsr.fit.constants import refit, skeleton
+from dynsr.fit.constants import refit
 from dynsr.fit.description import description_length
 from dynsr.fit.noise import Noise
 from dynsr.fit.settings import FIT, FitSettings

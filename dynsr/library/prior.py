@@ -22,8 +22,7 @@ from itertools import permutations
 
 import sympy
 
-from dynsr.expression import expand_terms, marks, number_bits, parse, unknown_calls
-from dynsr.fit.constants import free_constants
+from dynsr.expression import expand_terms, free_constants, marks, number_bits, parse, unknown_calls
 from dynsr.library.repeats import FACTORS, INSIDE, find_repeats
 
 # Choices that were never made have a share too (Krichevsky and Trofimov 1981).

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from dynsr.fit.constants import free_constants
+from dynsr.expression import free_constants
 
 INSIDE = "same inside"
 # Choices by what a term is that an earlier equation has too: a column, a product of columns, or

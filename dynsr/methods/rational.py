@@ -17,7 +17,7 @@ import sympy
 
 from dynsr.arguments import checked
 from dynsr.data import Samples
-from dynsr.expression import complexity, evaluate, number_bits
+from dynsr.expression import complexity, evaluate, number_bits, skeleton
 from dynsr.fit import (
     Candidate,
     ParetoFront,
@@ -27,7 +27,6 @@ from dynsr.fit import (
     mean_error_bits,
     rmse,
     score_candidate,
-    skeleton,
 )
 from dynsr.methods.base import AbstractMethod, Progress, Report, silent
 from dynsr.methods.features import Features, build_features

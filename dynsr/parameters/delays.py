@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from dynsr.data import Hold, SmoothedTrajectory, Trajectory
 from dynsr.engines import DEFAULT_ENGINE, AbstractEngine, Drive
 from dynsr.errors import EngineError, InputError
-from dynsr.expression import parse
+from dynsr.expression import parse, skeleton
 from dynsr.fit import (
     FIT,
     CollocationSettings,
@@ -37,7 +37,6 @@ from dynsr.fit import (
     drives_of,
     measure_runs,
     precision_bits,
-    skeleton,
 )
 from dynsr.library import Form, FormValues, Library, LibrarySettings, Written
 from dynsr.parameters.intervals import leave_unknown, take_apart, write_interval

@@ -14,8 +14,8 @@ from types import MappingProxyType
 import sympy
 
 from dynsr.errors import InputError
-from dynsr.expression import marks, shown
-from dynsr.fit import free_constants, loosen, tidy
+from dynsr.expression import free_constants, marks, shown
+from dynsr.fit import loosen, tidy
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,13 +12,13 @@ import sympy
 
 from dynsr.data import FEWEST_SMOOTH, Trajectory
 from dynsr.errors import InputError
+from dynsr.expression import free_constants
 from dynsr.fit import (
     AlongFit,
     Measurements,
     ProfileSettings,
     Profiling,
     fit_along,
-    free_constants,
     loosen_all,
 )
 from dynsr.parameters.intervals import home_of, printed_places, take_apart, write_interval

@@ -19,7 +19,7 @@ import sympy
 
 from dynsr.engines import Drive
 from dynsr.errors import InputError
-from dynsr.expression import bare_term, expand_terms, ratio_forms, shown
+from dynsr.expression import bare_term, expand_terms, ratio_forms, shown, skeleton
 from dynsr.fit import (
     Flow,
     Measurements,
@@ -31,7 +31,6 @@ from dynsr.fit import (
     fit_along,
     loosen_all,
     prepare,
-    skeleton,
     structure_bits,
     tidy,
     with_floats,

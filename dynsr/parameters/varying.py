@@ -21,17 +21,15 @@ from scipy.optimize import least_squares
 
 from dynsr.data import FEWEST_SMOOTH, Trajectory
 from dynsr.errors import InputError
-from dynsr.expression import evaluate, marks, shown
+from dynsr.expression import evaluate, free_constants, marks, shown, skeleton
 from dynsr.fit import (
     Measurements,
     Mixed,
     MixedFit,
     MixedMesh,
-    free_constants,
     measure_runs,
     precision_bits,
     residual_bits,
-    skeleton,
     tidy,
 )
 from dynsr.library import Form, FormValues, Library, LibrarySettings

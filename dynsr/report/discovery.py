@@ -34,12 +34,19 @@ from dynsr.expression import (
     complexity,
     counting,
     evaluate,
+    free_constants,
     left_of,
     shown,
     to_mathml,
     write_line,
 )
-from dynsr.fit import Candidate, ParetoFront, free_constants, is_noisy, loosen, rmse
+from dynsr.fit import (
+    Candidate,
+    ParetoFront,
+    is_noisy,
+    loosen,
+    rmse,
+)
 from dynsr.jobs import finish_by, to_plain
 from dynsr.methods import choose_methods
 from dynsr.parameters import FreePart, Parameter, cells_of

@@ -14,15 +14,13 @@ import numpy as np
 import sympy
 from scipy.linalg import LinAlgError
 
-from dynsr.expression import ByText, compile_columns, evaluate
+from dynsr.expression import ByText, compile_columns, evaluate, free_constants, skeleton
 from dynsr.fit import (
     Collocation,
     Linearised,
     Measurements,
     Probes,
     constant_bits,
-    free_constants,
-    skeleton,
     structure_bits,
 )
 from dynsr.library import write_down

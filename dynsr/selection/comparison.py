@@ -15,7 +15,7 @@ from functools import cached_property, partial
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate, has_pole
+from dynsr.expression import evaluate, free_constants, has_pole, skeleton
 from dynsr.fit import (
     FLOOR,
     Collocation,
@@ -23,12 +23,10 @@ from dynsr.fit import (
     CollocationSettings,
     Measurements,
     Mesh,
-    free_constants,
     precision_bits,
     residual_bits,
     shortened_bits,
     simplicity_bits,
-    skeleton,
 )
 from dynsr.library import (
     Place,

@@ -17,14 +17,13 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
 from dynsr.data import Samples
-from dynsr.expression import evaluate
+from dynsr.expression import evaluate, free_constants
 from dynsr.fit import (
     FLOOR,
     Collocation,
     CollocationFit,
     Mesh,
     Probes,
-    free_constants,
     precision_bits,
 )
 from dynsr.selection.subsets import SINGULAR, without

@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import added_bits, evaluate, number_bits
+from dynsr.expression import added_bits, evaluate, free_constants, number_bits
 from dynsr.fit import (
     FIT,
     Candidate,
@@ -25,7 +25,6 @@ from dynsr.fit import (
     cauchy_bits,
     cauchy_scale,
     constant_bits,
-    free_constants,
     independent_rows,
     loosen,
     one_of_each_shape,

@@ -18,8 +18,8 @@ import numpy as np
 import sympy
 
 from dynsr.data import SmoothedTrajectory, Trajectory, scale_of
-from dynsr.expression import differentiate, evaluate, expand_terms
-from dynsr.fit import CollocationSettings, Measurements, Mesh, skeleton
+from dynsr.expression import differentiate, evaluate, expand_terms, skeleton
+from dynsr.fit import CollocationSettings, Measurements, Mesh
 from dynsr.library import Written
 from dynsr.selection.alone import Alone
 from dynsr.selection.changes import prune_each

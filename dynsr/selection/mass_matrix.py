@@ -19,7 +19,8 @@ import numpy as np
 import sympy
 from scipy.optimize import linear_sum_assignment
 
-from dynsr.fit import free_constants, shift_bits
+from dynsr.expression import free_constants
+from dynsr.fit import shift_bits
 from dynsr.selection.subsets import SINGULAR
 
 # Powers of the two waves by which an acceleration may enter another.

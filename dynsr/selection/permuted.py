@@ -10,7 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import sympy
 
-from dynsr.fit import Names, exchanges, one_of_each_shape, skeleton, ways_alike, with_floats
+from dynsr.expression import skeleton
+from dynsr.fit import (
+    Names,
+    exchanges,
+    one_of_each_shape,
+    ways_alike,
+    with_floats,
+)
 from dynsr.selection.shapes import bodies_of
 
 

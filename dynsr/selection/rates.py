@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 import sympy
 
-from dynsr.expression import evaluate
-from dynsr.fit import FINEST, free_constants, skeleton
+from dynsr.expression import evaluate, free_constants, skeleton
+from dynsr.fit import FINEST
 from dynsr.library import INSIDE, find_repeats, textbooks
 
 _Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 import sympy
 
-from dynsr.fit import skeleton
+from dynsr.expression import skeleton
 from dynsr.selection.changes import prune_each, while_better
 from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
 from dynsr.selection.permuted import exchanged

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sympy
 
-from dynsr.expression import expand_terms
-from dynsr.fit import FIT, skeleton
+from dynsr.expression import expand_terms, skeleton
+from dynsr.fit import FIT
 
 # More terms may compensate for a function that is none of theirs.
 _PLAIN = 4

@@ -19,14 +19,13 @@ import sympy
 from scipy.optimize import nnls
 
 from dynsr.data import MotionNoise, Trajectory, measure_motion_noise
-from dynsr.expression import evaluate, has_pole
+from dynsr.expression import evaluate, has_pole, skeleton
 from dynsr.fit import (
     Series,
     StochasticFit,
     StochasticSettings,
     StochasticSystem,
     constant_bits,
-    skeleton,
     structure_bits,
 )
 from dynsr.library import Place, find_turning, structure_of

@@ -16,12 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy
 
-from dynsr.expression import ByText, compile_columns, evaluate
+from dynsr.expression import ByText, compile_columns, evaluate, skeleton
 from dynsr.fit import (
     Measurements,
     one_of_each_shape,
     orthogonal,
-    skeleton,
     with_floats,
 )
 from dynsr.selection.alone import Alone, Leader, constants

@@ -16,12 +16,11 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import ByText, differentiate, evaluate
+from dynsr.expression import ByText, differentiate, evaluate, free_constants
 from dynsr.fit import (
     Candidate,
     Shooting,
     constant_bits,
-    free_constants,
     independent_rows,
     loosen,
     orthogonal,

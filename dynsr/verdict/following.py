@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import FEWEST_ROWS, Trajectory
-from dynsr.expression import expand_terms
+from dynsr.expression import expand_terms, free_constants
 from dynsr.fit import (
     ROUGH,
     Flow,
@@ -25,7 +25,6 @@ from dynsr.fit import (
     cut_windows,
     drives_of,
     finer_paces,
-    free_constants,
     independent_rows,
     loosen,
 )

@@ -17,11 +17,18 @@ from dynsr.expression import (
     compile_numpy,
     differentiate,
     evaluate,
+    free_constants,
     parse,
     to_latex_formula,
     to_mathml,
 )
-from dynsr.fit import Match, free_constants, loosen, rmse, tidy, written_constant
+from dynsr.fit import (
+    Match,
+    loosen,
+    rmse,
+    tidy,
+    written_constant,
+)
 from dynsr.verdict.following import ENOUGH_ROWS
 from dynsr.verdict.levels import VERDICT
 

@@ -25,9 +25,8 @@ from scipy.interpolate import CubicSpline
 from dynsr.data import KnownNoise, Limits, Trajectory, carry, read_sums
 from dynsr.discovery import DiscoverySettings, discover
 from dynsr.discovery.unmeasured import number_runs
-from dynsr.expression import compile_numpy, evaluate, parse
+from dynsr.expression import compile_numpy, evaluate, free_constants, parse
 from dynsr.fit import Measurements, Series, StochasticSystem, fit_along
-from dynsr.fit.constants import free_constants
 from dynsr.fit.whole import interval_reach
 from dynsr.parameters import Delayed, DelaySettings, FreeSettings
 from dynsr.selection import ComparisonSettings, Coupling

@@ -29,8 +29,8 @@ from dynsr.data import System, Trajectory
 from dynsr.discovery import DISCOVERY, discover
 from dynsr.engines import simulate
 from dynsr.errors import DynsrError, one_line
-from dynsr.expression import parse, to_text
-from dynsr.fit import loosen, skeleton
+from dynsr.expression import parse, skeleton, to_text
+from dynsr.fit import loosen
 from dynsr.jobs import RunFolder, Task, Watch, fingerprint, run_tasks
 from dynsr.methods import Report
 from dynsr.report import Table

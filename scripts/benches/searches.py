@@ -25,8 +25,8 @@ from dynsr.data import Trajectory
 from dynsr.discovery import Discovery, discover
 from dynsr.discovery.unmeasured import coupling_of
 from dynsr.errors import InputError
-from dynsr.expression import parse
-from dynsr.fit import skeleton, with_floats
+from dynsr.expression import parse, skeleton
+from dynsr.fit import with_floats
 from dynsr.selection import law_of
 
 # Whether a system is the true one, whether its verdict is "law", and the seconds.

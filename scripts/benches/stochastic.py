@@ -18,8 +18,8 @@ from rich.console import Console
 
 from dynsr.data import Trajectory
 from dynsr.discovery import Discovery, discover
-from dynsr.expression import compile_columns, parse
-from dynsr.fit import loosen, skeleton
+from dynsr.expression import compile_columns, parse, skeleton
+from dynsr.fit import loosen
 
 _PARTS = 20
 

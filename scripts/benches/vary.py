@@ -23,8 +23,8 @@ from scipy.integrate import solve_ivp
 from dynsr.benchmarks.zoo.peers import answer_stlsq
 from dynsr.data import Trajectory
 from dynsr.discovery import discover
-from dynsr.expression import compile_columns, parse
-from dynsr.fit import loosen, skeleton
+from dynsr.expression import compile_columns, parse, skeleton
+from dynsr.fit import loosen
 
 Equations = Mapping[str, sympy.Expr]
 

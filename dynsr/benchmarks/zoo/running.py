@@ -22,8 +22,8 @@ from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.data import Trajectory
 from dynsr.discovery import DISCOVERY, Discovery, discover
 from dynsr.errors import InputError, one_line
-from dynsr.expression import to_text
-from dynsr.fit import free_constants, loosen
+from dynsr.expression import free_constants, to_text
+from dynsr.fit import loosen
 from dynsr.jobs import RunFolder, Step, Task, Watch, fingerprint, run_tasks, to_plain
 from dynsr.methods import DEFAULT_PRESET, Report
 from dynsr.report import Table

@@ -15,8 +15,8 @@ from dynsr.benchmarks.zoo.system import ZooSystem
 from dynsr.data import Trajectory
 from dynsr.engines import InitialValueProblem, find_engine
 from dynsr.errors import DynsrError
-from dynsr.expression import as_float_tree, compile_numpy, evaluate, to_text
-from dynsr.fit import free_constants, r_squared
+from dynsr.expression import as_float_tree, compile_numpy, evaluate, free_constants, to_text
+from dynsr.fit import r_squared
 
 _RELTOL, _ABSTOL, _MAX_SECONDS = 1e-8, 1e-10, 15.0
 _CLOSE = 0.2

@@ -12,8 +12,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import compile_numpy, complexity, evaluate
-from dynsr.fit import skeleton
+from dynsr.expression import compile_numpy, complexity, evaluate, skeleton
 from dynsr.methods.features import build_features
 from dynsr.methods.feynman.stages.base import Surrogate
 from dynsr.methods.feynman.stages.reduction import (
