@@ -252,6 +252,14 @@ def test_an_address_is_no_file():
         load_columns("https://example.org/data.csv")
 
 
+@pytest.mark.parametrize("name", ["runs.yaml", "page.html", "paper.pdf"])
+def test_a_document_is_no_table(tmp_path, name):
+    """Its numbers stand among other things: the remedy is said, and none of them is read."""
+    (tmp_path / name).write_text("t: [0.0, 0.1]\nx: [1.0, 2.0]\n" * 9)
+    with pytest.raises(InputError, match=f"'{name}' is no table; save its rows as CSV"):
+        describe(tmp_path / name)
+
+
 def test_json_without_a_table_and_stata_files(tmp_path):
     """What is no table is refused in one line; a file of Stata is read."""
     path = tmp_path / "list.json"

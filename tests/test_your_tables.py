@@ -126,6 +126,32 @@ FORMS = {
         + "\n\nEnd Time:;26-11-2025 04:00\n",
         {"time": ("Time [s]", "s"), "states": ["x"], "runs": 6, "note": "called well A1, A2"},
     ),
+    "an oscilloscope with its settings on the left.csv": (
+        "Record Length,24,,0,1.5\nInterval,1e-06,,1e-06,1.4\n"
+        + rows(lambda k: f",,,{(k + 2) * 1e-6:.6g},{FALL[k]:.3f}"),
+        {"time": ("t", ""), "states": ["x"], "rows": N + 2, "note": "columns 1 to 3"},
+    ),
+    "an oscilloscope whose rows are short.csv": (
+        "X,CH1,Start,Increment,\nSequence,Volt,-6.0e-03,1.0e-03\n"
+        + rows(lambda k: f"{k},{FALL[k]:.3f},"),
+        {"time": ("t [s]", "s"), "states": ["CH1"], "rows": N, "to": -6e-3 + (N - 1) * 1e-3},
+    ),
+    "a simulator that writes the time twice.dat": (
+        rows(lambda k: f" {k / 1e6:.8e}  {FALL[k]:.8e}  {k / 1e6:.8e}  {RISE[k]:.8e} "),
+        {"time": ("t", ""), "states": ["x1", "x3"], "rows": N},
+    ),
+    "years, months and years with a fraction.txt": (
+        "# year month decimal\n"
+        + rows(
+            lambda k: f"{1958 + k // 12} {k % 12 + 1} {1958 + (k + 0.5) / 12:.4f} {FALL[k]:.2f}"
+        ),
+        {"time": ("x2", ""), "states": ["x1", "x3"], "rows": N},
+    ),
+    "a potentiostat.DTA": (
+        "EXPLAIN\nTAG\tCV\nCURVE\tTABLE\n\tPt\tT\tVf\n\t#\ts\tV vs. Ref.\n"
+        + rows(lambda k: f"\t{k}\t{k / 10}\t{FALL[k]:.5E}"),
+        {"time": ("T", ""), "states": ["Vf"], "rows": N, "to": (N - 1) / 10},
+    ),
     "an oscilloscope.csv": (
         "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-1.0e-03,2.0e-04,\n"
         + rows(lambda k: f"{k},{FALL[k]:.2e},{RISE[k]:.2e},,,"),

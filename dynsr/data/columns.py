@@ -36,6 +36,10 @@ __all__ = [
 ]
 
 
+# Documents, in which numbers stand among other things.
+_NO_TABLES = (".yaml", ".yml", ".html", ".htm", ".xml", ".pdf", ".doc", ".docx", ".rtf", ".png")
+
+
 def load_columns(
     source: Any, decimal: str | None = None, missing: Missing | None = None
 ) -> Columns:
@@ -162,8 +166,18 @@ def _load_file(path: Path, decimal: str | None) -> Columns:
     _check_file(file)
     if sheet:
         return load_excel(file, decimal, sheet)
-    reader = READERS.get(path.suffix.lower())
+    if path.suffix.lower() in _NO_TABLES:
+        raise InputError(f"{path.name!r} is no table; save its rows as CSV, and give that file")
+    reader = None if _is_other_text(path) else READERS.get(path.suffix.lower())
     return load_delimited(path, decimal) if reader is None else reader(path, decimal)
+
+
+def _is_other_text(path: Path) -> bool:
+    """Whether a file called as one of Stata is text, as potentiostats write it."""
+    if path.suffix.lower() != ".dta":
+        return False
+    with path.open("rb") as file:
+        return file.read(7) == b"EXPLAIN"
 
 
 def _check_file(path: Path) -> None:

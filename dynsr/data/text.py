@@ -315,6 +315,9 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
             f"cannot separate the columns of {path.name!r} (first line "
             f"{quoted(head.first_line)}); separate cells by comma, tab, semicolon, | or spaces"
         )
+    if [name.lower() for name in filter(None, layout.names)][-2:] == ["start", "increment"]:
+        # What is said once, in a row of its own below the names, has no cell in the others.
+        frame = frame.reindex(columns=range(max(frame.shape[1], len(layout.names))))
     names = _fit_names(path.name, head, frame)
     above, skipped = settings_of_wells(lambda j: _cells(head.lines[j], head.delimiter), layout)
     if skipped:
@@ -328,6 +331,11 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     none, said = rows_that_are_none(columns, path.name)
     notes = (*notes, *said)
     columns = [column[~none] for column in columns]
+    if not names and (lead := _leading(columns)):
+        names, columns = [], columns[lead:]
+        which = "column 1" if lead == 1 else f"columns 1 to {lead}"
+        have = "has" if lead == 1 else "have"
+        notes = (*notes, f"{which} of {path.name} {have} cells in few rows; left out")
     table = assemble(
         names,
         columns,
@@ -338,6 +346,17 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
         delimiter=head.delimiter,
     )
     return replace(table, above=above)
+
+
+def _leading(columns: Sequence[np.ndarray]) -> int:
+    """Count the columns before the first one that has a cell in most rows.
+
+    There oscilloscopes write their settings, next to the rows.
+    """
+    import pandas
+
+    counts = [int(np.count_nonzero(~pandas.isna(column))) for column in columns]
+    return next((j for j, count in enumerate(counts) if 2 * count > len(columns[j])), 0)
 
 
 def _with_increment(
@@ -525,13 +544,14 @@ def _count(file: Any, delimiter: str, name: str) -> tuple[int, int, bool]:
     count, width, odd = 0, 0, False
     marks = tuple(f"{quote}{mark}" for mark in ("#", "%", "//", name) for quote in ("", '"'))
     while block := file.readlines(1 << 20):
-        lines = [line for line in map(str.lstrip, block) if line]
+        # A tab in front is an empty cell.
+        lines = [line.lstrip(" ") for line in block if line.strip()]
         count += len(lines)
         cells = (
             map(len, map(str.split, lines)) if delimiter == _SPACE else _counts(lines, delimiter)
         )
         width = max(width, max(cells, default=0))
-        odd = odd or any(map(str.startswith, lines, repeat(marks)))
+        odd = odd or any(map(str.startswith, map(str.lstrip, lines), repeat(marks)))
     return count, width, odd
 
 

@@ -341,8 +341,8 @@ class _Look:
         names = self._columns.names
         called = [n for n in names if is_time_name(bare_name(n)) or _OTHER_TIME.fullmatch(n)]
         called = [n for n in called if not _OF_TEMPERATURE.fullmatch(self._unit(n))]
-        if not self._columns.named and not called:
-            called = [names[0]]
+        if not self._columns.named:
+            called = [self._first_that_moves()]
         named = [found for n in called if (found := self._time(n)) is not None]
         # Names of months next to a time are the month that each row is of.
         cyclic = {n for n in names if named and self._is_cyclic(n)}
@@ -367,6 +367,18 @@ class _Look:
             f"no column of {self._columns.label} looks like the time (columns: "
             f"{list_names(names)}); name it, e.g. --time seconds, or add a column t"
         )
+
+    def _first_that_moves(self) -> str:
+        """Give the first column, or of those that rise the first where it mostly stays the same.
+
+        A year is the same in the rows of all its months.
+        """
+        names = self._columns.names
+        numbers = {n: v for n in names if (v := self._numbers(n)) is not None and len(v) > 1}
+        first = numbers.get(names[0])
+        if first is not None and 2 * np.count_nonzero(np.diff(first) == 0) > len(first):
+            return next((n for n, v in numbers.items() if np.all(np.diff(v) > 0)), names[0])
+        return names[0]
 
     def _stamped(self, name: str) -> Times | None:
         if self._values(name).dtype.kind == "f" or self._moments(name) is None:
