@@ -480,6 +480,8 @@ class _Look:
                 dated = _OTHER_TIME.fullmatch(name) and self._moments(name) is not None
                 if time.counted and (dated or _DECIMAL_YEAR.fullmatch(name)):
                     left_out[name] = f"is a second time in addition to {time.name!r}"
+                elif not time.counted and np.array_equal(values, np.floor(time.values)):
+                    left_out[name] = f"is the whole part of {time.name!r}"
                 continue
             if values.dtype.kind == "m" and not is_time_name(name):
                 continue
