@@ -144,7 +144,10 @@ Names = list[str] | None
 TimeColumn = Annotated[
     str | None,
     typer.Option(
-        "--time", help="Time column.", autocompletion=complete_column, rich_help_panel=DATA
+        "--time",
+        help="Time column, or the step between rows: 0.1.",
+        autocompletion=complete_column,
+        rich_help_panel=DATA,
     ),
 ]
 StateColumns = Annotated[

@@ -297,12 +297,18 @@ def unreadable(path: Path, kind: str, error: Exception) -> InputError:
 
 def load_frame(source: Any, label: str, decimal: str | None = None) -> Columns:
     """Load the columns of a frame, its index too where that has a name or is a time."""
-    index = getattr(source, "index", None)
+    index: Any = getattr(source, "index", None)
     named = [name for name in getattr(index, "names", ()) if name is not None]
     if clash := [name for name in named if name in source.columns]:
         raise InputError(
             f"{clash[0]!r} is the index and a column of {label}; drop or rename one of the two"
         )
+    if not named and getattr(index, "nlevels", 1) == 2 and "run" not in source.columns:
+        # pandas.concat names what each row is from.
+        fractions = getattr(index.get_level_values(1).dtype, "kind", "") in "fmM"
+        timed = fractions and "time" not in source.columns
+        named = ["run", "time"] if timed else ["run"]
+        source = (source if timed else source.droplevel(1)).rename_axis(index=named)
     if not named and _is_time_index(index) and "time" not in source.columns:
         source, named = source.rename_axis(index="time"), ["time"]
     if named:

@@ -24,7 +24,7 @@ _SETTINGS = OddSettings()
 @checked
 def describe(
     source: Any,
-    time: str | Sequence[Any] | np.ndarray | None = None,
+    time: float | str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
     trajectory: Sequence[str] | str | None = None,

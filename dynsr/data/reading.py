@@ -43,6 +43,7 @@ from dynsr.data.time_columns import find_time
 from dynsr.data.times import convert_times
 from dynsr.data.trajectory import FEWEST_ROWS, Trajectory, as_floats, decide_hold
 from dynsr.data.understanding import Asked, Understood, understand
+from dynsr.data.usual_forms import in_known_form, is_step, times_of
 from dynsr.data.writing import write_new
 from dynsr.errors import DynsrWarning, InputError
 from dynsr.expression import check_name, compile_numpy, parse
@@ -71,7 +72,7 @@ class Table:
 
 def read_trajectories(
     source: Any,
-    time: str | Sequence[Any] | np.ndarray | None = None,
+    time: float | str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     inputs: Sequence[str] | Mapping[str, str] | str | None = None,
     trajectory: Sequence[str] | str | None = None,
@@ -97,7 +98,7 @@ def read_trajectories(
         experiments and are joined on the time. A small table without a time, one of whose columns
         has the names of the runs, gives the parameters of each, such as a plate's layout.
     time : name of the time column, of the date and the clock ("date,clock"), or the (n,) times
-        themselves; guessed by default.
+        themselves, a list of them for each run, or the step from row to row; guessed by default.
     states : names of the state columns; every other column by default. A source without
         names, such as an array, takes these names.
     inputs : columns that are known inputs, or expressions in t, such as ``"F=0.5*sin(6*t)"`` or
@@ -134,6 +135,7 @@ def read_trajectories(
     """
     if max_rows < 1:
         raise InputError(f"max_rows {max_rows} must be a whole number from 1 up")
+    source, time = in_known_form(source, time)
     errors = find_columns(noise)
     asked = Asked(
         _listed(states),
@@ -166,6 +168,8 @@ def read_trajectories(
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
     columns = _with_names(_load_with_times(source, times, decimal, missing), states)
+    if isinstance(time, str) and time not in columns.names and (step := _as_step(time)):
+        columns, name = with_times(columns, times_of(step, columns.rows)), "t"
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     if isinstance(source, Trajectory) and states is None:
@@ -274,6 +278,14 @@ def _is_named(time: Any, source: Any) -> bool:
     return few and all(isinstance(name, str) for name in time) and not isinstance(source, tuple)
 
 
+def _as_step(time: str) -> float | None:
+    """Give the step from row to row that a text says; None for a name."""
+    try:
+        return float(time)
+    except ValueError:
+        return None
+
+
 def _chosen(quantity: str | None) -> str | None:
     """Give the column of quantities; "" where there is to be none."""
     return "" if quantity is not None and quantity.strip().lower() in ("", "none") else quantity
@@ -284,7 +296,8 @@ def _load_with_times(source: Any, t: Any, decimal: str | None, missing: Missing 
     if t is None:
         return load_columns(source, decimal, missing)
     if isinstance(source, (str, os.PathLike, Mapping)) or hasattr(source, "columns"):
-        return with_times(load_columns(source, decimal, missing), t)
+        columns = load_columns(source, decimal, missing)
+        return with_times(columns, times_of(t, columns.rows) if is_step(t) else t)
     return load_columns((t, source), missing=missing)
 
 
@@ -317,7 +330,7 @@ def _told(runs: Sequence[Trajectory], guess: str, understood: Description) -> Ta
 
 def _read_list(
     sources: list[Any],
-    time: str | Sequence[Any] | np.ndarray | None,
+    time: float | str | Sequence[Any] | np.ndarray | None,
     states: Sequence[str] | str | None,
     inputs: Sequence[str] | Mapping[str, str] | str | None,
     trajectory: Sequence[str] | str | None,
@@ -813,7 +826,7 @@ def write_csv(
 def take_trajectories(
     data: Any,
     inputs: Mapping[str, Any] | Sequence[str] | str | None = None,
-    time: str | Sequence[Any] | np.ndarray | None = None,
+    time: float | str | Sequence[Any] | np.ndarray | None = None,
     states: Sequence[str] | str | None = None,
     trajectory: Sequence[str] | str | None = None,
     hold: Mapping[str, str] | str | None = None,
@@ -851,6 +864,7 @@ def take_trajectories(
     >>> runs[0].names, inputs
     (('x', 'F'), {'F': sin(t)})
     """
+    data, time = in_known_form(data, time)
     columns, named = _sort_inputs(inputs)
     errors = find_columns(noise)
     given = read_doses(doses)
@@ -939,7 +953,7 @@ def _read(
 def _read_columns(
     data: Any,
     inputs: Sequence[str] | None,
-    time: str | Sequence[Any] | np.ndarray | None,
+    time: float | str | Sequence[Any] | np.ndarray | None,
     states: Sequence[str] | str | None,
     trajectory: Sequence[str] | str | None,
     quantity: str | None,

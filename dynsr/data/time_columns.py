@@ -365,7 +365,8 @@ class _Look:
             self._refuse((*broken, *called)[0])
         raise InputError(
             f"no column of {self._columns.label} looks like the time (columns: "
-            f"{list_names(names)}); name it, e.g. --time seconds, or add a column t"
+            f"{list_names(names)}); name it, e.g. --time seconds, or give the step between rows, "
+            "e.g. --time 0.1"
         )
 
     def _first_that_moves(self) -> str:

@@ -67,7 +67,7 @@ class Options:
     3
     """
 
-    time: str | Sequence[Any] | None = None
+    time: float | str | Sequence[Any] | None = None
     states: Sequence[str] | str | None = None
     trajectory: Sequence[str] | str | None = None
     quantity: str | None = None

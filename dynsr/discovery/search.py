@@ -50,7 +50,7 @@ from dynsr.verdict import LAW
 def discover(
     data: Any,
     *,
-    time: str | Sequence[Any] | None = None,
+    time: float | str | Sequence[Any] | None = None,
     states: Sequence[str] | str | None = None,
     trajectory: Sequence[str] | str | None = None,
     quantity: str | None = None,
@@ -104,7 +104,8 @@ def discover(
         :func:`dynsr.data.reading.read_trajectories` reads or gives: a file, a frame, a mapping.
         Cells may be empty (NaN): each state is used where it was measured. In a list, sources
         without a common state are one experiment, joined on the time.
-    time : the name of the time column, or the (n,) times; guessed by default.
+    time : the name of the time column, the (n,) times, or the step from row to row; guessed by
+        default.
     states : the names of the state columns; every other column by default.
     trajectory : the column, or columns, whose values together name the trajectory of a row.
     quantity : the column of a long table that names the quantity of each row. Each quantity gets
