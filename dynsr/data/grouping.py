@@ -70,7 +70,7 @@ def is_text(values: np.ndarray) -> bool:
     if values.dtype.kind != "O":
         return False
     there = [cell for cell in values if not _is_missing(cell)]
-    return bool(there) and all(isinstance(cell, str) and not _is_number(cell) for cell in there)
+    return bool(there) and all(isinstance(cell, str) and not is_number(cell) for cell in there)
 
 
 def find_restarts(t: np.ndarray) -> np.ndarray:
@@ -442,7 +442,13 @@ def is_rough(values: np.ndarray) -> bool:
     return bool(np.mean(np.diff(there) ** 2) > 2 * _ROUGH * np.var(there))
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number.
+
+    Parameters
+    ----------
+    text : the text.
+    """
     try:
         float(text)
     except ValueError:

@@ -24,7 +24,7 @@ from dynsr.data.columns import Columns, beside, load_columns, names_of_states, w
 from dynsr.data.description import Description, describe_runs, join_descriptions
 from dynsr.data.dosing import clean_doses, columns_of_doses, cut_at_doses, read_doses, split_volume
 from dynsr.data.formats import frame_of_rows
-from dynsr.data.grouping import differ_as_parameter, find_restarts
+from dynsr.data.grouping import differ_as_parameter, find_restarts, is_number
 from dynsr.data.joining import Source, join_sources
 from dynsr.data.known_noise import KnownNoise, check_names, check_noise, read_noise
 from dynsr.data.limits import limit_cells, read_limits
@@ -168,8 +168,8 @@ def read_trajectories(
     times = None if time is None or _is_named(time, source) else time
     name: Any = time if times is None else "t"
     columns = _with_names(_load_with_times(source, times, decimal, missing), states)
-    if isinstance(time, str) and time not in columns.names and (step := _as_step(time)):
-        columns, name = with_times(columns, times_of(step, columns.rows)), "t"
+    if isinstance(time, str) and time not in columns.names and is_number(time):
+        columns, name = with_times(columns, times_of(float(time), columns.rows)), "t"
     for note in columns.notes:
         warnings.warn(note, DynsrWarning, stacklevel=2)
     if isinstance(source, Trajectory) and states is None:
@@ -276,14 +276,6 @@ def _is_named(time: Any, source: Any) -> bool:
         return True
     few = isinstance(time, (list, tuple)) and len(time) < FEWEST_ROWS
     return few and all(isinstance(name, str) for name in time) and not isinstance(source, tuple)
-
-
-def _as_step(time: str) -> float | None:
-    """Give the step from row to row that a text says; None for a name."""
-    try:
-        return float(time)
-    except ValueError:
-        return None
 
 
 def _chosen(quantity: str | None) -> str | None:

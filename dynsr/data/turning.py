@@ -11,7 +11,7 @@ import numpy as np
 
 from dynsr.data.amounts import is_missing
 from dynsr.data.columns import Columns
-from dynsr.data.grouping import is_text, label_of
+from dynsr.data.grouping import is_number, is_text, label_of
 from dynsr.data.limits import Limits
 from dynsr.data.name_parts import is_label_name
 from dynsr.data.times import read_counted, read_times
@@ -50,7 +50,7 @@ def turn_rows(columns: Columns) -> tuple[Columns, list[str]]:
     if times is None:
         first = len(named.names) - sum(1 for _ in takewhile(_is_moment, reversed(named.names)))
         # Numbers may count what was measured again and again at the times of a column.
-        dated = not all(map(_is_number, named.names[first:]))
+        dated = not all(map(is_number, named.names[first:]))
         times = _read_moments(named.names[first:]) if dated else None
     moments, labels = named.names[first:], named.names[:first]
     if times is None or len(moments) < FEWEST_ROWS:
@@ -160,14 +160,6 @@ def _is_measured(name: str, values: np.ndarray) -> bool:
 
 def _is_moment(name: str) -> bool:
     return any(map(str.isdigit, name)) and not _BLANK.fullmatch(name)
-
-
-def _is_number(name: str) -> bool:
-    try:
-        float(name)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_moments(names: Sequence[str]) -> tuple[np.ndarray, str] | None:
