@@ -285,6 +285,8 @@ class _Look:
 
     def _as_line(self, name: str, values: np.ndarray) -> str:
         called = (is_time_name(bare_name(name)) and len(name) > 1) or bool(unit_in_name(name))
+        # Where nothing has a name, what is the time to the last digit is no state.
+        called = called or (not self._columns.named and np.array_equal(values, self._t))
         unit = self._columns.units.get(name) or bracketed_unit(name)
         # What is measured in a unit is more than a number of a row.
         if not np.all(np.isfinite(values)) or (unit and not unit_in_name(f"t [{unit}]")):
