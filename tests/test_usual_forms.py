@@ -35,6 +35,8 @@ def check(runs, count=1):
         ((torch.tensor(T), torch.tensor(X)), None, 1),
         (SimpleNamespace(t=T.tolist(), u=X.tolist()), None, 1),
         ([X, X + 1], 0.25, 2),
+        ([torch.tensor(X), torch.tensor(X + 1)], 0.25, 2),
+        ([SimpleNamespace(t=T, u=X), SimpleNamespace(t=T, u=X + 1)], None, 2),
         ([X, X + 1], [T, T], 2),
         (np.stack([X, X + 1]), T, 2),
         (np.stack([X, X + 1]), 0.25, 2),

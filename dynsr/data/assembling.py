@@ -502,8 +502,8 @@ def load_array(array: np.ndarray, label: str) -> Columns:
             f"{label} has shape {array.shape} and so no times; give them too: (t, x), time=t, or "
             "an array (n, 1 + k) whose first column they are"
         )
-    upright = array.T if _is_turned(array) else array
-    return assemble((), [_plain(c) for c in upright.T], label)
+    columns = array if _is_turned(array) else array.T
+    return assemble((), [_plain(c) for c in columns], label)
 
 
 def _is_turned(array: np.ndarray) -> bool:

@@ -23,6 +23,7 @@ from dynsr.data.assembling import (
 )
 from dynsr.data.codes import Missing, without_codes
 from dynsr.data.trajectory import Trajectory
+from dynsr.data.usual_forms import as_array
 from dynsr.errors import InputError
 
 __all__ = [
@@ -76,8 +77,7 @@ def _load(source: Any, decimal: str | None) -> Columns:
         raise InputError(f"decimal {decimal!r} must be '.' or ','")
     if isinstance(source, Columns):
         return source
-    if isinstance(source, Mapping) and {"t", "y", "t_events", "nfev"} <= source.keys():
-        source = source["t"], source["y"]  # what scipy.integrate.solve_ivp gives
+    source = as_array(source)
     if isinstance(source, (str, os.PathLike)):
         return _load_file(Path(source), decimal)
     if isinstance(source, Trajectory):

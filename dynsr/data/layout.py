@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -348,8 +349,7 @@ def _choose_names(rows: Sequence[Row]) -> tuple[list[str], list[Row]]:
     names = named[chosen.place]
     above = [r for r in rows if r.place < chosen.place]
     if above and _fills(upper := named[above[-1].place], names):
-        width = range(max(len(upper), len(names)))
-        pairs = [[own[j] if j < len(own) else "" for own in (names, upper)] for j in width]
+        pairs = zip_longest(names, upper, fillvalue="")
         return [name or group for name, group in pairs], [above[-1], chosen]
     if above and not _distinct(names):
         joined = _join(named[above[-1].place], names)

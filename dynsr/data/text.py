@@ -67,6 +67,8 @@ _COMMENT = re.compile(
 )
 _REMARKS = re.compile(r"(comment|remark|note|bemerkung|kommentar|remarque)s?", re.IGNORECASE)
 _MARK = re.compile(r"^\s*(#|%|//)+\s*")
+# Columns of an oscilloscope that say its times in a row of their own.
+_STEPS = ("start", "increment")
 
 
 def load_delimited(path: Path, decimal: str | None = None) -> Columns:
@@ -315,7 +317,7 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
             f"cannot separate the columns of {path.name!r} (first line "
             f"{quoted(head.first_line)}); separate cells by comma, tab, semicolon, | or spaces"
         )
-    if [name.lower() for name in filter(None, layout.names)][-2:] == ["start", "increment"]:
+    if tuple(name.lower() for name in layout.names if name)[-2:] == _STEPS:
         # What is said once, in a row of its own below the names, has no cell in the others.
         frame = frame.reindex(columns=range(max(frame.shape[1], len(layout.names))))
     names = _fit_names(path.name, head, frame)
@@ -367,20 +369,20 @@ def _with_increment(
     The columns Start and Increment are then empty in all other rows, as Rigol writes them.
     """
     lower = [name.lower() for name in names]
-    if not {"x", "start", "increment"} <= set(lower) or not head.layout.skipped:
+    if not {"x", *_STEPS} <= set(lower) or not head.layout.skipped:
         return names, columns, []
     cells = _cells(head.lines[head.layout.skipped[-1]], head.delimiter)
-    at = {name: lower.index(name) for name in ("x", "start", "increment")}
+    at = {name: lower.index(name) for name in ("x", *_STEPS)}
     if len(cells) <= max(at.values()) or columns[at["x"]].dtype.kind not in "fiu":
         return names, columns, []
     try:
-        start, step = (float(cells[at[name]]) for name in ("start", "increment"))
+        start, step = (float(cells[at[name]]) for name in _STEPS)
     except ValueError:
         return names, columns, []
     if not (np.isfinite(start) and 0 < step < np.inf):
         return names, columns, []
     t = start + step * columns[at["x"]]
-    own = [j for j, name in enumerate(lower) if name not in ("start", "increment")]
+    own = [j for j, name in enumerate(lower) if name not in _STEPS]
     renamed = ["t [s]" if j == at["x"] else names[j] for j in own]
     said = f"{names[at['x']]!r} counts rows of {step:g} s from {start:g} s on"
     return renamed, [t if j == at["x"] else columns[j] for j in own], [said]
@@ -544,8 +546,8 @@ def _count(file: Any, delimiter: str, name: str) -> tuple[int, int, bool]:
     count, width, odd = 0, 0, False
     marks = tuple(f"{quote}{mark}" for mark in ("#", "%", "//", name) for quote in ("", '"'))
     while block := file.readlines(1 << 20):
-        # A tab in front is an empty cell.
-        lines = [line.lstrip(" ") for line in block if line.strip()]
+        # A tab in front is an empty cell, and stays.
+        lines = [line for line in block if not line.isspace()]
         count += len(lines)
         cells = (
             map(len, map(str.split, lines)) if delimiter == _SPACE else _counts(lines, delimiter)

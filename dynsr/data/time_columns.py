@@ -375,11 +375,12 @@ class _Look:
         A year is the same in the rows of all its months.
         """
         names = self._columns.names
-        numbers = {n: v for n in names if (v := self._numbers(n)) is not None and len(v) > 1}
-        first = numbers.get(names[0])
-        if first is not None and 2 * np.count_nonzero(np.diff(first) == 0) > len(first):
-            return next((n for n, v in numbers.items() if np.all(np.diff(v) > 0)), names[0])
-        return names[0]
+        first = self._numbers(names[0])
+        if first is None or 2 * np.count_nonzero(np.diff(first) == 0) <= len(first):
+            return names[0]
+        others = ((name, self._numbers(name)) for name in names[1:])
+        rising = (name for name, v in others if v is not None and np.all(np.diff(v) > 0))
+        return next(rising, names[0])
 
     def _stamped(self, name: str) -> Times | None:
         if self._values(name).dtype.kind == "f" or self._moments(name) is None:

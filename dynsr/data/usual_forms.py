@@ -17,8 +17,7 @@ def in_known_form(source: Any, time: Any) -> tuple[Any, Any]:
 
     Parameters
     ----------
-    source : also a tensor, rows of numbers in lists, an array (runs, n, k), or a solution of
-        DifferentialEquations.jl, with its times ``t`` and states ``u``.
+    source : also what :func:`as_array` takes, and an array (runs, n, k).
     time : also the step from row to row, or a list of the times of each run.
 
     Raises InputError where a step is not above 0.
@@ -29,13 +28,13 @@ def in_known_form(source: Any, time: Any) -> tuple[Any, Any]:
     >>> [x.shape for x in in_known_form(np.zeros((3, 9, 2)), None)[0]]
     [(9, 2), (9, 2), (9, 2)]
     """
-    source = _as_array(source)
+    source = as_array(source)
     if isinstance(source, np.ndarray) and source.ndim == 3 and not source.dtype.names:
         source = list(source)
     if is_step(time) and isinstance(source, np.ndarray) and source.ndim:
         time = times_of(time, len(source))
     if isinstance(source, list) and isinstance(time, (list, tuple)) and len(time) == len(source):
-        arrays = [_as_array(run) for run in source]
+        arrays = [as_array(run) for run in source]
         each = all(np.ndim(own) == 1 for own in time)
         if each and all(isinstance(run, np.ndarray) for run in arrays):
             return list(zip(time, arrays, strict=True)), None
@@ -63,8 +62,19 @@ def times_of(step: float, rows: int) -> np.ndarray:
     return float(step) * np.arange(rows)
 
 
-def _as_array(source: Any) -> Any:
-    """Give tensors, rows of numbers and solutions as arrays; what is something else as it is."""
+def as_array(source: Any) -> Any:
+    """Give tensors, rows of numbers and solutions as arrays; what is something else as it is.
+
+    Parameters
+    ----------
+    source : a tensor, rows of numbers in lists, what ``scipy.integrate.solve_ivp`` gives, or a
+        solution of DifferentialEquations.jl, with its times ``t`` and states ``u``.
+
+    >>> as_array([[0.0, 2.0], [0.1, 1.9]]).shape
+    (2, 2)
+    """
+    if isinstance(source, Mapping) and {"t", "y", "t_events", "nfev"} <= source.keys():
+        return source["t"], source["y"]
     if hasattr(source, "detach"):  # a tensor of torch, which may be on another device
         return source.detach().cpu().numpy()
     is_rows = isinstance(source, list) and source and all(isinstance(r, list) for r in source)
