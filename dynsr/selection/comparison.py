@@ -189,7 +189,7 @@ class SystemComparison:
         """Fit every constant and start; None where the system cannot be fitted."""
         if not self.settings.demands.keep_all(exprs):
             return None
-        key = tuple(skeleton(e) for e in exprs.values())
+        key = form_of(exprs)
         before = self._cache.get(key)
         problem = Collocation(exprs, self.mesh, self._how)
         if key not in self._cache or self._may_do_better(key, problem, before):
@@ -281,7 +281,7 @@ class SystemComparison:
         """
         if not self.settings.demands.keep_all(exprs):
             return None
-        key = tuple(skeleton(e) for e in exprs.values())
+        key = form_of(exprs)
         before = self._cache.get(key)
         if before is not None and before.bits < near.bits:
             return before
@@ -321,7 +321,7 @@ class SystemComparison:
         ----------
         exprs : state -> equation.
         """
-        key = tuple(skeleton(e) for e in exprs.values())
+        key = form_of(exprs)
         before = self._cache.pop(key, None)
         found = self.fit(exprs)
         if before is not None and (found is None or before.bits <= found.bits):
@@ -479,6 +479,16 @@ class SystemComparison:
     def fits(self) -> Iterator[SystemFit]:
         """Give all systems that were fitted."""
         return (fit for fit in self._cache.values() if fit is not None)
+
+
+def form_of(exprs: Equations) -> tuple[sympy.Expr, ...]:
+    """Give what systems that differ in their constants alone have in common.
+
+    Parameters
+    ----------
+    exprs : state -> equation.
+    """
+    return tuple(map(skeleton, exprs.values()))
 
 
 def owners_of(exprs: Mapping[str, sympy.Expr]) -> list[str]:

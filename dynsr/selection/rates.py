@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 import sympy
@@ -20,6 +19,8 @@ from dynsr.fit import FINEST
 from dynsr.library import INSIDE, find_repeats, textbooks
 
 _Terms = Mapping[sympy.Expr, tuple[sympy.Expr, sympy.Expr]]
+# How many times a term is that of another equation, and the error of that.
+_Shares = Mapping[sympy.Expr, tuple[float, float]]
 # Standard errors beyond which a difference is no noise.
 SIGMA = 3.0
 
@@ -121,26 +122,24 @@ def fluxes(
     terms = {s: _by_shape(expr) for s, expr in exprs.items() if not expr.is_Symbol}
     error_of = dict(zip(constants.tolist(), errors.tolist(), strict=True))
     found: dict[frozenset[sympy.Expr], Flux] = {}
-    for first, second in combinations(terms, 2):
-        shares = _proportions(terms[first], terms[second], error_of, columns)
-        for shapes in dict.fromkeys(_agreeing(shares, one) for one in shares):
-            if shapes not in found:
-                found[shapes] = _flux_of(shapes, first, terms, error_of, columns)
+    for place, first in enumerate(terms):
+        every = {s: _proportions(terms[first], own, error_of, columns) for s, own in terms.items()}
+        for shares in [*every.values()][place + 1 :]:
+            for shapes in dict.fromkeys(_agreeing(shares, one) for one in shares):
+                if shapes not in found:
+                    found[shapes] = _flux_of(shapes, terms, every)
     return sorted(found.values(), key=lambda one: -len(one.parts))
 
 
 def _flux_of(
     shapes: frozenset[sympy.Expr],
-    lead: str,
     terms: Mapping[str, _Terms],
-    error_of: Mapping[float, float],
-    columns: Mapping[str, np.ndarray],
+    every: Mapping[str, _Shares],
 ) -> Flux:
     """Give the flux of all equations that have these terms in one proportion to those of a lead."""
     parts, rest = {}, {}
     for state, own in terms.items():
-        shares = _proportions(terms[lead], own, error_of, columns)
-        there = {shape: share for shape, share in shares.items() if shape in shapes}
+        there = {shape: share for shape, share in every[state].items() if shape in shapes}
         sure = min(there, key=lambda one: there[one][1] / abs(there[one][0]), default=None)
         if sure is not None and _agreeing(there, sure) == shapes:
             bodies = {shape: number * body for shape, (number, body) in own.items()}
@@ -154,7 +153,7 @@ def _proportions(
     other: _Terms,
     error_of: Mapping[float, float],
     columns: Mapping[str, np.ndarray],
-) -> dict[sympy.Expr, tuple[float, float]]:
+) -> _Shares:
     """Give how many times the values of one's own each term of another has, and the error."""
     found = {}
     for shape, (number, body) in own.items():
@@ -171,9 +170,7 @@ def _proportions(
     return found
 
 
-def _agreeing(
-    shares: Mapping[sympy.Expr, tuple[float, float]], one: sympy.Expr
-) -> frozenset[sympy.Expr]:
+def _agreeing(shares: _Shares, one: sympy.Expr) -> frozenset[sympy.Expr]:
     """Give the terms whose proportions are that of one of them, within errors."""
     factor, error = shares[one]
     return frozenset(

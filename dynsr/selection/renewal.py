@@ -16,7 +16,13 @@ import sympy
 
 from dynsr.expression import skeleton
 from dynsr.selection.changes import prune_each, while_better
-from dynsr.selection.comparison import Equations, SystemComparison, SystemFit, leaves_noise
+from dynsr.selection.comparison import (
+    Equations,
+    SystemComparison,
+    SystemFit,
+    form_of,
+    leaves_noise,
+)
 from dynsr.selection.permuted import exchanged
 from dynsr.selection.rates import fluxes
 
@@ -54,10 +60,10 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
 
     def different(fit: SystemFit, systems: Iterable[Equations]) -> Iterator[Equations]:
         """Give the first systems of other forms than those before them and than the fit."""
-        known = {_form(fit.exprs)}
+        known = {form_of(fit.exprs)}
         for system in systems:
-            if _form(system) not in known:
-                known.add(_form(system))
+            if (form := form_of(system)) not in known:
+                known.add(form)
                 yield system
             if len(known) > settings.tried:
                 return
@@ -89,10 +95,6 @@ def renew(comparison: SystemComparison, best: SystemFit) -> SystemFit:
                 yield prune_each(comparison, one, pruned)
 
     return while_better(renewed, prune_each(comparison, best), gain=settings.gain)
-
-
-def _form(exprs: Equations) -> tuple[sympy.Expr, ...]:
-    return tuple(map(skeleton, exprs.values()))
 
 
 def twins(comparison: SystemComparison, fit: SystemFit, state: str) -> list[sympy.Expr]:
