@@ -6,7 +6,7 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynsr.expression import compile_columns, compile_numpy, parse
+from dynsr.expression import compile_columns, compile_numpy, differentiate, parse
 
 NAMES = ["x", "y", "z"]
 SYMBOLS = sympy.symbols(NAMES)
@@ -69,6 +69,21 @@ def test_programs_agree_with_lambdify(exprs):
     both &= posed
     np.testing.assert_allclose(found[both], expected[both], rtol=1e-8)
     assert np.array_equal(np.isfinite(found)[posed], np.isfinite(expected)[posed])
+
+
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(expressions())
+def test_slopes_agree_with_sympy(expr):
+    """Slopes by every argument are the values of SymPy's own derivatives."""
+    points = np.random.default_rng(0).uniform(0.1, 3, (3, 20))
+    slopes = [differentiate(expr, sympy.Symbol(name)) for name in NAMES]
+    expected = compile_numpy(slopes, NAMES)(points)
+    moved = compile_numpy(slopes, NAMES)(points * (1 + 1e-13))
+    found = compile_columns([expr], NAMES, NAMES)(*points)[1:]
+    with np.errstate(all="ignore"):
+        posed = np.abs(moved - expected) <= 1e-9 * np.abs(expected) + 1e-300
+        posed &= np.abs(expected) < 1e100
+    np.testing.assert_allclose(found[posed], expected[posed], rtol=1e-8, atol=1e-300)
 
 
 @pytest.mark.parametrize(

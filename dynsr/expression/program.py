@@ -10,17 +10,20 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import sympy
 
+from dynsr.expression.evaluation import differentiate
 from dynsr.expression.operators import FUNCTIONS
 
 _BY_CLASS: dict[Any, Callable[..., Any]] = {
     known.sympy: known.numpy for known in FUNCTIONS.values() if isinstance(known.sympy, type)
 }
+
+_INNER = sympy.Symbol("inner")
 
 # What floats do among themselves as arrays do, and several times quicker.
 _PLAIN: dict[Callable[..., Any], Callable[..., Any]] = {
@@ -92,6 +95,8 @@ class _Writer:
         self.known: dict[Any, int] = {sympy.Symbol(n): i for i, n in enumerate(names)}
         self.constants: list[float] = []
         self.steps: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
+        self.functions: dict[Callable[..., Any], Any] = {}
+        self.slopes: dict[tuple[int, int], int | None] = {}
 
     # Constants come behind the arguments, results behind those: while both grow, constants are
     # numbered from -1 down.
@@ -120,9 +125,9 @@ class _Writer:
             return self._chain(node)
         if node.is_Pow:
             return self._power(node.base, node.exp)
-        if node.func in _BY_CLASS:
-            return self.step(_BY_CLASS[node.func], self.write(node.args[0]))
-        if (own := getattr(node.func, "_imp_", None)) is not None:
+        own = _BY_CLASS.get(node.func) or getattr(node.func, "_imp_", None)
+        if own is not None:
+            self.functions[own] = node.func
             return self.step(own, self.write(node.args[0]))
         if node.is_Symbol:
             raise KeyError(str(node))
@@ -159,8 +164,77 @@ class _Writer:
             return found
         return self.step(np.power, inner, self.write(exponent))
 
+    def slope(self, place: int, by: int) -> int | None:
+        """Write the derivative of a value by an argument, by the chain rule; None where it is 0."""
+        if place == by:
+            return self.number(1.0)
+        # Constants, and other arguments.
+        if place < self.count:
+            return None
+        if (place, by) not in self.slopes:
+            self.slopes[place, by] = self._slope(place, by)
+        return self.slopes[place, by]
 
-def compile_columns(exprs: Sequence[sympy.Expr], names: Sequence[str]) -> Program:
+    def _slope(self, place: int, by: int) -> int | None:
+        function, places = self.steps[place - self.count]
+        turned = [self.slope(own, by) for own in places]
+        if all(one is None for one in turned):
+            return None
+        if function is np.add:
+            return self._sum(turned)
+        if function is np.multiply:
+            pairs = zip(turned, reversed(places), strict=True)
+            return self._sum([self._product(own, other) for own, other in pairs])
+        if function is np.divide:
+            less = self._product(turned[1], place)
+            whole = self._sum([turned[0], self._product(less, self.number(-1.0))])
+            return None if whole is None else self.step(np.divide, whole, places[1])
+        if function is np.power:
+            return self._slope_of_power(place, places, turned)
+        if function is np.sqrt:
+            half = self._product(turned[0], self.number(0.5))
+            return None if half is None else self.step(np.divide, half, place)
+        outer = _slope_of(self.functions[function])
+        # A symbol of its own: the same formula of another value is another value.
+        inner = sympy.Symbol(f"inner {places[0]}")
+        self.known[inner] = places[0]
+        return self._product(turned[0], self.write(outer.xreplace({_INNER: inner})))
+
+    def _slope_of_power(
+        self, place: int, places: tuple[int, ...], turned: Sequence[int | None]
+    ) -> int | None:
+        base, exponent = places
+        less = self.step(np.add, exponent, self.number(-1.0))
+        outer = self.step(np.multiply, exponent, self.step(np.power, base, less))
+        logged = None
+        if turned[1] is not None:
+            by_exponent = self.step(np.multiply, place, self.step(np.log, base))
+            logged = self._product(turned[1], by_exponent)
+        return self._sum([self._product(turned[0], outer), logged])
+
+    def _sum(self, places: Sequence[int | None]) -> int | None:
+        found: int | None = None
+        for place in (own for own in places if own is not None):
+            found = place if found is None else self.step(np.add, found, place)
+        return found
+
+    def _product(self, place: int | None, other: int) -> int | None:
+        if place is None or other == self.known.get(("number", 1.0)):
+            return place
+        if place == self.known.get(("number", 1.0)):
+            return other
+        return self.step(np.multiply, place, other)
+
+
+@lru_cache(maxsize=256)
+def _slope_of(function: Any) -> sympy.Expr:
+    """Give the derivative of a function of one variable."""
+    return differentiate(function(_INNER), _INNER)
+
+
+def compile_columns(
+    exprs: Sequence[sympy.Expr], names: Sequence[str], by: Sequence[str] = ()
+) -> Program:
     """Make a program of k expressions in p variables: a function of p arrays that broadcast.
 
     Values outside an expression's domain become NaN or inf without a warning.
@@ -169,6 +243,8 @@ def compile_columns(exprs: Sequence[sympy.Expr], names: Sequence[str]) -> Progra
     ----------
     exprs : the k expressions.
     names : names of the p arguments, in their order.
+    by : arguments by which slopes are given too: after the k values those of the first expression
+        by each of them, then of the next one.
 
     Raises KeyError for a variable without an argument.
 
@@ -176,9 +252,14 @@ def compile_columns(exprs: Sequence[sympy.Expr], names: Sequence[str]) -> Progra
     >>> f = compile_columns([parse("a*x"), parse("sin(x)/x")], ["a", "x"])
     >>> f(np.array([[1.0], [2.0]]), np.array([3.0, 4.0]))[0].tolist()
     [[3.0, 4.0], [6.0, 8.0]]
+    >>> compile_columns([parse("a*x^2")], ["a", "x"], by=["x"])(2.0, 3.0).tolist()
+    [18.0, 12.0]
     """
     writer = _Writer(names)
     results = [writer.write(expr) for expr in exprs]
+    columns = [writer.known[sympy.Symbol(name)] for name in by]
+    slopes = [writer.slope(place, column) for place in results for column in columns]
+    results += [writer.number(0.0) if place is None else place for place in slopes]
     first, shift = writer.count, len(writer.constants)
 
     def placed(place: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from dynsr.data import Samples
-from dynsr.expression import compile_numpy, differentiate, free_constants, skeleton
+from dynsr.expression import Program, compile_columns, free_constants, skeleton
 from dynsr.fit.linear import ROUNDING, cauchy_scale, cauchy_weights, fit_columns
 
 # A residual that is not a finite number counts as this many times the size of the target.
@@ -75,33 +75,26 @@ class Template:
         return self.shape.xreplace(dict(zip(self.parameters, numbers, strict=True)))
 
     @cached_property
-    def _names(self) -> list[str]:
-        return [*self.samples.names, *map(str, self.parameters)]
+    def _sensitive(self) -> Program:
+        numbers = list(map(str, self.parameters))
+        return compile_columns([self.shape], [*self.samples.names, *numbers], numbers)
 
     @cached_property
-    def _sensitive(self) -> Callable[[np.ndarray], np.ndarray]:
-        slopes = [differentiate(self.shape, parameter) for parameter in self.parameters]
-        return compile_numpy(slopes, self._names)
-
-    @cached_property
-    def _plain(self) -> Callable[[np.ndarray], np.ndarray]:
-        return compile_numpy([self.shape], self._names)
+    def _plain(self) -> Program:
+        names = [*self.samples.names, *map(str, self.parameters)]
+        return compile_columns([self.shape], names)
 
     @cached_property
     def _size(self) -> float:
         return float(np.sqrt(np.mean(np.square(self.samples.y)))) or 1.0
 
-    def _arguments(self, values: np.ndarray) -> np.ndarray:
-        rows = np.broadcast_to(values[:, None], (len(values), len(self.samples)))
-        return np.concatenate([self.samples.X.T, rows])
-
     def residual(self, values: np.ndarray) -> np.ndarray:
         """(n,) f(X) - y; NaN or inf outside the domain."""
-        return self._plain(self._arguments(values))[0] - self.samples.y
+        return np.asarray(self._plain(*self.samples.X.T, *values)[0] - self.samples.y)
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """(k, n) derivatives of f by the parameters; 0 where they are not finite."""
-        found = self._sensitive(self._arguments(values))
+        found = self._sensitive(*self.samples.X.T, *values)[1:]
         return found if np.all(np.isfinite(found)) else np.nan_to_num(found, posinf=0, neginf=0)
 
     def _tame(self, values: np.ndarray) -> np.ndarray:
