@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
 from types import MappingProxyType
 
 import numpy as np
@@ -379,9 +380,10 @@ class _Search:
         allow, others = self.limits.check, list(self.known.items())
         found, looked = list(found), not (self.is_exact and self.settings.parts.has("joints"))
 
-        def enough(sums: list[sympy.Expr], left: int) -> bool:
+        def enough(sums: Iterator[sympy.Expr], left: int) -> bool:
             nonlocal looked
-            seen = self.conclude([*found, *self.take(self.refitted(sums[: self.settings.most]))])
+            some = self.refitted(islice(sums, self.settings.most))
+            seen = self.conclude([*found, *self.take(some)])
             if left <= 1 and not looked and not _is_law(seen):
                 looked = True
                 found.extend(self.take(self.hinged()))

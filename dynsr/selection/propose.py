@@ -244,10 +244,10 @@ class Proposer:
         """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
-            before: list[_Layer] = []
+            before, tried = list[_Layer](), list[np.ndarray]()
             tiers = list(self._tiers())
             for left, tier in zip(reversed(range(len(tiers))), tiers, strict=True):
-                before = self._grow_from_nothing(tier, before, found)
+                before = self._grow_from_nothing(tier, before, tried, found)
                 if enough is not None and enough(best := self._front_first(found), left):
                     return best
             self._thin_whole(found)
@@ -282,28 +282,46 @@ class Proposer:
             self._thin(one, found)
 
     def _grow_from_nothing(
-        self, tier: np.ndarray, before: Sequence[_Layer], found: dict[tuple[int, ...], Sum]
+        self,
+        tier: np.ndarray,
+        before: Sequence[_Layer],
+        tried: list[np.ndarray],
+        found: dict[tuple[int, ...], Sum],
     ) -> list[_Layer]:
-        """Grow sums by one form at a time until two more gain less than a bit.
+        """Grow sums by one form at a time until two more gain less than a bit, or none can.
 
         Those of the cheapest forms are grown further by more expensive ones too.
+
+        Parameters
+        ----------
+        tier, before : the forms, and the best sums of fewer forms of each length.
+        tried : marks of the sums that were fitted, which fills up.
+        found : the sums found, which fill up.
         """
         layer, least, idle, layers = self._nothing, math.inf, 0, list(before)
         for length in range(self.settings.terms):
-            layer = self._grow(layer, tier)
-            if not len(layer):
+            if not self._may_be_better(length + 1, found):
                 break
-            best = min(one.bits for one in self._note(layer, found))
+            earlier = layers[length : length + 1]
+            layer = self._grow(layer, tier, tried)
+            self._note(layer, found)
             self._note_shorter(layer, found)
+            if not (own := [one for one in (*earlier, layer) if len(one)]):
+                break
+            layer = _joined(own)
+            best = float(np.min(self._bits(layer)))
             idle = 0 if best < least - 1 else idle + 1
             if idle == 2:
                 break
             least = min(least, best)
-            if length < len(layers):
-                layer = layers[length] = _joined([layers[length], layer])
-            else:
-                layers.append(layer)
+            layers[length : length + 1] = [layer]
         return layers
+
+    def _may_be_better(self, length: int, found: Mapping[tuple[int, ...], Sum]) -> bool:
+        """Whether sums of so many forms that miss nothing would take the fewest bits, or nearly."""
+        possible = float(self.evidence.misses(0.0) + self.costs[self._cheapest[:length]].sum())
+        least = min((one.bits for one in found.values()), default=math.inf)
+        return bool(possible < least + self.settings.doubt)
 
     def _note(self, layer: _Layer, found: dict[tuple[int, ...], Sum]) -> list[Sum]:
         """Add sums to those that were found, where they are better."""
@@ -347,6 +365,9 @@ class Proposer:
 
         Of many terms none may explain anything before most of the others are there.
         """
+        # Shorter sums were grown.
+        if not self._may_be_better(self.settings.terms + 1, found):
+            return
         plain = self._cheapest[self.library.inside[self._cheapest] == 0]
         for most in self.settings.whole:
             places = self._independent(plain[: min(most, len(self.evidence.y) // 4)])[None]
@@ -401,7 +422,8 @@ class Proposer:
     def _exchange(self, found: dict[tuple[int, ...], Sum]) -> bool:
         """Put other forms in the place of one, in the best sums; says whether any is better."""
         before = self._ranked(found)[: self.settings.exchanged]
-        for length in {len(one.places) for one in before}:
+        lengths = {len(one.places) for one in before}
+        for length in filter(lambda length: self._may_be_better(length, found), lengths):
             shorter = self._shortened([one for one in before if len(one.places) == length])
             grown = self._grow(self._fit(*shorter), self._allowed)
             self._note(grown, found)
@@ -456,11 +478,13 @@ class Proposer:
         """(b,) all bits of sums."""
         return self.evidence.misses(layer.left) + self.costs[layer.places].sum(axis=1)
 
-    def _grow(self, layer: _Layer, tier: np.ndarray) -> _Layer:
+    def _grow(
+        self, layer: _Layer, tier: np.ndarray, tried: list[np.ndarray] | None = None
+    ) -> _Layer:
         """Give the best sums with one form more.
 
         Each form is added to each sum with its best constant. Those that are expected to take the
-        fewest bits are fitted.
+        fewest bits are fitted, if they were not tried before.
         """
         if not len(layer):
             return layer
@@ -476,7 +500,7 @@ class Proposer:
         # What tells nothing alone may tell all together, and the fewer forms, the more so.
         width = max(self.settings.beam, self.settings.singles // 2 ** layer.places.shape[1])
         room, ways = self._room(self.settings.fitted * width), dict[int, list[tuple[int, int]]]()
-        for owner, row, parent in self._choose(layer, tier, bits, room):
+        for owner, row, parent in self._choose(layer, tier, bits, room, tried):
             # From the constants of another parent a sum may end elsewhere.
             if (
                 len(own := ways.setdefault(owner, []))
@@ -491,7 +515,12 @@ class Proposer:
         return self._best_of_each(self._extended(layer, parents, begun), width)
 
     def _choose(
-        self, layer: _Layer, tier: np.ndarray, bits: np.ndarray, room: Sequence[int]
+        self,
+        layer: _Layer,
+        tier: np.ndarray,
+        bits: np.ndarray,
+        room: Sequence[int],
+        tried: list[np.ndarray] | None,
     ) -> Iterator[tuple[int, int, int]]:
         """Give the sums to be fitted, by number, with the form's place in the tier and the parent.
 
@@ -500,6 +529,7 @@ class Proposer:
         layer, tier : the sums and the forms.
         bits : (forms, b) that are expected.
         room : how many sums of each number of constants inside are fitted.
+        tried : marks of the sums that were fitted before; those that are given now are added.
         """
         holds = np.zeros((len(self.library.forms), len(layer)), dtype=bool)
         holds[layer.places.T, np.arange(len(layer))] = True
@@ -516,6 +546,11 @@ class Proposer:
             own = np.sort(first[kinds == kind])
             taken[owners[own[:most]]] = True
             end = max(end, own[most - 1] + 1 if len(own) >= most else len(order))
+        if tried is not None:
+            marks = named[first]
+            for earlier in tried:
+                taken &= ~np.isin(marks, earlier)
+            tried.append(marks[taken])
         for place in np.flatnonzero(taken[owners[:end]]):
             yield int(owners[place]), int(rows[place]), int(parents[place])
 
@@ -737,7 +772,7 @@ def propose(
     settings: ProposalSettings = PROPOSALS,
     *,
     functions: bool = True,
-    enough: Callable[[list[sympy.Expr], int], bool] | None = None,
+    enough: Callable[[Iterator[sympy.Expr], int], bool] | None = None,
     near: sympy.Expr | None = None,
 ) -> list[sympy.Expr]:
     """Give the sums of terms of the library that are expected to take the fewest bits.
@@ -784,15 +819,17 @@ def propose(
             told = min(written_out, math.log2(len(offered))) if form.own in offered else written_out
             costs[i] = told + each * (1 + inside)
 
-    def written(sums: list[Sum]) -> list[sympy.Expr]:
-        return list(dict.fromkeys(one.write(library) for one in sums))
+    def written(sums: list[Sum]) -> Iterator[sympy.Expr]:
+        return (one.write(library) for one in sums)
 
     proposer = Proposer(evidence, library, costs, settings)
     if begun:
-        return written(proposer.near(range(len(begun))))
-    if enough is None:
-        return written(proposer.best())
-    return written(proposer.best(lambda sums, left: enough(written(sums), left)))
+        sums = proposer.near(range(len(begun)))
+    elif enough is None:
+        sums = proposer.best()
+    else:
+        sums = proposer.best(lambda sums, left: enough(written(sums), left))
+    return list(dict.fromkeys(written(sums)))
 
 
 def term_bits(body: sympy.Expr, place: Place, written: Written) -> float:
