@@ -243,6 +243,7 @@ def test_a_name_leads_nowhere(page, name):
     assert re.match(r"a(_ b)?\.csv: time 't', 30 rows", parts["table"]["guess"])
 
 
+@pytest.mark.slow
 def test_columns_are_guessed_and_corrected(page):
     """The page shows roles and units as read_trajectories guesses them, and takes others."""
     text = "t (days),well,x [mg],u,note\n" + "\n".join(

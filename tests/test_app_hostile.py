@@ -149,6 +149,7 @@ LONG = ["a" * 500, "é" * 300, "測" * 200, "😀" * 100, "." + "x" * 300, "a.b"
 
 @pytest.mark.parametrize("stem", LONG)
 @pytest.mark.parametrize("suffix", [".csv", ".測測測測測測測測測測測測", ""])
+@pytest.mark.slow
 def test_long_names_are_cut_by_bytes(page, stem, suffix):
     """A name of any length and letters can be written; one that is no table's is refused by it."""
     assert len(_clean(stem + suffix).encode()) <= 100

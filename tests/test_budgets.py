@@ -91,6 +91,7 @@ def test_an_answer_in_no_time_has_an_end_itself(monkeypatch):
     assert float(found.equations["x"].subs("x", 1.2)) == pytest.approx(-0.7, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_hidden_state_that_is_not_found_in_time_leaves_the_equations_without_it(monkeypatch):
     """There is an answer, and it says that no equations with the hidden state were found."""
     monkeypatch.setattr(hidden, "best_alone", endless)

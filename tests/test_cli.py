@@ -403,6 +403,7 @@ def test_folders_that_are_not_ours(tmp_path):
     assert "cannot write" in refuse(*words, tmp_path / "letter.txt" / "below")
 
 
+@pytest.mark.slow
 def test_audit():
     """The audit gives 33 rows with what other tools read, of which 31 agree."""
     rows = json.loads(run("audit", "--json").stdout)

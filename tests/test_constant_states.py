@@ -51,6 +51,7 @@ def test_a_state_that_is_another_constant_in_each_run_does_not_change(hunted):
 
 
 @pytest.mark.parametrize("method", ["auto", "sindy"])
+@pytest.mark.slow
 def test_a_constant_state_has_no_velocity(method):
     """Equations of second order are those of what moves, and the system is a law all the same."""
     t = np.linspace(0, 6, 80)

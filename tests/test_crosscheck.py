@@ -27,6 +27,7 @@ CASES = [(s, system) for s in ("corrected", "pysindy") for system in PAPER_NAMES
 
 # Each record is held by a test of its own; here one system shows that they make rows.
 @pytest.mark.parametrize(("section", "system"), [("records", "cart-pole"), *CASES])
+@pytest.mark.slow
 def test_the_embedded_engine_agrees_with_julia_and_pysindy(section: str, system: str):
     """Every sparse row of every system is filled, and its verdict is that both agree."""
     rows = crosscheck([system], ["embedded"], [section])

@@ -235,6 +235,7 @@ def test_a_held_input_steps_between_rows_where_no_state_was_measured():
 
 
 @pytest.mark.parametrize("held", [False, True])
+@pytest.mark.slow
 def test_simulation_follows_the_data_with_the_input_that_was_before(held):
     """At the rows of the data, from their input, or from the same given again."""
     run = PIPE.run(held)

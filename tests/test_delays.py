@@ -118,6 +118,7 @@ def test_the_method_of_steps_solves_an_equation_that_can_be_solved_by_hand():
     assert found.x[:, 0] == pytest.approx(truth, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_delay_is_fitted_with_the_other_constants():
     """From a delay 6 % off, in 1 % noise: the interval holds 1.6, and the constants are right."""
     delayed = Delayed.of([as_run(hutchinson(0.01))], DelaySettings())
@@ -342,6 +343,7 @@ def test_what_has_no_delay_is_refused_in_one_line(tmp_path):
 
 
 @pytest.mark.parametrize(("more", "first"), [(2.0, ("x",)), (20.0, ("x", "x_delayed"))])
+@pytest.mark.slow
 def test_a_delay_that_the_data_do_not_need_is_none(monkeypatch, more, first):
     """A sum without a delay that takes hardly more bits than one with it is searched first.
 

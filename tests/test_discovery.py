@@ -229,6 +229,7 @@ def test_code_in_a_saved_file_is_never_run(found, tmp_path):
         Discovery.load(path)
 
 
+@pytest.mark.slow
 def test_a_relative_folder_is_that_of_the_caller(decay, tmp_path, monkeypatch):
     """Workers kept from an earlier call write where the caller stands now, not where it stood."""
     folders = [tmp_path / name for name in ("first", "second")]

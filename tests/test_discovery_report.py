@@ -96,6 +96,7 @@ def test_the_page_holds_equations_pictures_and_fronts(page):
 
 
 @pytest.mark.parametrize("level", ["law", "approximation", "not found"])
+@pytest.mark.slow
 def test_a_reason_is_open_unless_it_is_at_the_top(found, level):
     """The reason of a law, or one that the top gives, is folded, so that pictures come soon.
     Equations that the data refuse have no fixed points, and a sentence says what their intervals
@@ -320,6 +321,7 @@ def test_trajectories_that_are_not_drawn_are_counted(found):
     assert "Trajectory 4" not in page
 
 
+@pytest.mark.slow
 def test_every_format_is_offered_as_a_file(found):
     """Each link holds the text that the export writes, under a name that hides no package."""
     page = render_discovery(found)

@@ -238,6 +238,7 @@ def test_a_rate_that_grows_with_the_time_in_every_run_is_named():
 
 
 @pytest.mark.parametrize("held", ["run", "formula", "both"])
+@pytest.mark.slow
 def test_a_drift_is_named_beside_an_input_of_any_name(held):
     """An input called as dynsr calls the time is none, in a run or as a formula."""
     run = integrate(

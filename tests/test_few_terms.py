@@ -40,6 +40,7 @@ def test_the_law_of_an_arc_leads(law):
     )
 
 
+@pytest.mark.slow
 def test_of_noise_nothing_is_final():
     """Slopes that err by a percent leave no doubt of no sum."""
     assert not look(on_an_arc("0.9*n - 0.4*n^2", error=0.01)).final
@@ -56,6 +57,7 @@ def test_what_is_in_simple_numbers_is_final():
 
 
 @pytest.mark.parametrize(("names", "found"), [(["exp", "*"], True), (["sin", "*"], False)])
+@pytest.mark.slow
 def test_sums_contain_only_what_is_allowed(names, found):
     """A list of functions is kept, and the law is there where it is allowed."""
     law, own = parse("0.9*n - 0.4*n*p*exp(-0.8*n)"), Vocabulary.read(names)

@@ -137,6 +137,7 @@ def test_what_exact_states_do_not_confirm_is_given_up_soon(monkeypatch):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("state", ["x", "y"])
+@pytest.mark.slow
 def test_little_noise_ends_a_search_only_with_the_law(state, seed):
     """With noise of a ten thousandth of the spread, what is final has the terms of the law.
 
@@ -389,6 +390,7 @@ def test_a_spring_that_swings_round_keeps_its_momentum_and_is_no_other_law():
     assert "satisfy a relation" in found.verdict.states["u"].reason
 
 
+@pytest.mark.slow
 def test_a_term_of_another_equation_brings_its_constant():
     """A prey whose growth slows as Gompertz says is found where its predator's equation is known.
 

@@ -88,6 +88,7 @@ def logistic() -> dynsr.Trajectory:
     return dynsr.Trajectory(np.arange(81.0), np.array(x)[:, None], ("x",))
 
 
+@pytest.mark.slow
 def test_a_map_holds_its_term() -> None:
     """The logistic map with a forced constant is itself beside a constant of nearly 0."""
     found = dynsr.discover(logistic(), discrete=True, must={"x": ["1"]}, **QUICK)
@@ -143,6 +144,7 @@ def test_a_term_that_is_finite_nowhere_is_one_line() -> None:
     assert found.verdict.level != "law"
 
 
+@pytest.mark.slow
 def test_the_shell_forces_terms_too(tmp_path: Path) -> None:
     """--must, twice here, reaches the record and the equation."""
     data = tmp_path / "logistic.csv"

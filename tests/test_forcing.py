@@ -51,6 +51,7 @@ def test_slopes_of_exact_data_are_exact_beside_steps(most: int) -> None:
 
 
 @pytest.mark.parametrize("most", [1, 3, 12])
+@pytest.mark.slow
 def test_kinks_are_no_noise(most: int) -> None:
     """Exact data have none; noise of 1 % of the spread is found as that."""
     run = driven(min(most, 6), most)
@@ -63,6 +64,7 @@ def test_kinks_are_no_noise(most: int) -> None:
     assert [own.additive for own in found] == pytest.approx(level.tolist(), rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_smooth_curve_has_the_kinks() -> None:
     """Slopes of 1 % noise keep their steps, from both sides; the curve goes on between rows."""
     run = driven(6, 12)

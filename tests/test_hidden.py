@@ -248,6 +248,7 @@ def test_intervals_hold_the_truth_in_90_to_98_percent():
     assert low <= np.mean(inside) * len(inside) <= high
 
 
+@pytest.mark.slow
 def test_the_start_of_the_hidden_state_is_fitted():
     """The predator begins at 5, which is 2 in the chosen scale; the curve is that of the truth."""
     fit = fit_prey(0.01)

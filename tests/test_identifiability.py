@@ -147,6 +147,7 @@ def test_what_cannot_be_asked_is_refused_in_one_line(call, words):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_shell_and_the_report_say_what_is_known(tmp_path):
     """The command ends in the sentences; the page has them where something is not known."""
     found = enzyme(0.1)

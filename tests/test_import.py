@@ -167,6 +167,7 @@ def problem(tmp_path):
     return tmp_path / "problem" / "problem.yaml", found
 
 
+@pytest.mark.slow
 def test_a_problem_is_read_with_its_data(problem):
     """Each condition is a run with its measurements; parameters have their nominal values."""
     path, found = problem

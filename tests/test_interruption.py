@@ -132,6 +132,7 @@ def test_ctrl_c_before_anything_is_found_is_raised(decay):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_a_signal_that_became_an_error_is_no_failure_of_the_method(
     decay, tmp_path, monkeypatch, number
 ):

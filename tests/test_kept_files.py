@@ -71,6 +71,7 @@ def test_a_folder_with_anything_of_others_is_refused_and_left_alone(name, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["report.html", "discovery.json"])
+@pytest.mark.slow
 def test_a_file_of_others_in_a_folder_of_ours_stays(name, tmp_path):
     """Results whose names are taken are refused before anything is searched."""
     data = tmp_path / "d.csv"
@@ -84,6 +85,7 @@ def test_a_file_of_others_in_a_folder_of_ours_stays(name, tmp_path):
     assert (tmp_path / "out" / name).read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_default_folder_that_others_use_is_passed_by(tmp_path, monkeypatch):
     """Without --out the next name is taken, as where another discovery is there."""
     monkeypatch.chdir(tmp_path)
@@ -395,6 +397,7 @@ def places(value, path=()):
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
+@pytest.mark.slow
 def test_whatever_a_record_holds_it_is_a_discovery_or_one_line(data, saved, found):
     """One value anywhere is replaced by another: what loads can be shown, the rest is refused."""
     record = json.loads(json.dumps(found.as_record()))

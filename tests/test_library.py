@@ -43,6 +43,7 @@ def test_the_slope_of_an_atom_is_that_of_a_small_step(name: str) -> None:
         np.testing.assert_allclose((ends[0] - ends[1])[0] / 2e-6, slope, rtol=1e-4, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_forms_of_the_same_atoms_are_evaluated_as_they_are_written() -> None:
     """Each form of a whole library, with every one of its starts, has the values that SymPy has."""
     names, points = ["x", "y", "z"], _columns(np.random.default_rng(5))

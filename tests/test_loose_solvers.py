@@ -107,6 +107,7 @@ def test_errors_of_a_solver_are_no_terms(extra):
     assert not leaves_noise(true, COMPARISON)
 
 
+@pytest.mark.slow
 def test_small_true_terms_stay():
     """A damping by which the swings shrink by 3 % in all is not taken for an error."""
     fit = compare(0.003, 1e-10)
@@ -137,6 +138,7 @@ def swing(tolerance, rows=300):
     return Trajectory(t, x, ("q", "v"))
 
 
+@pytest.mark.slow
 def test_rows_between_the_steps_of_a_loose_solver_are_diagnosed():
     """Rows of scipy's default tolerance were interpolated; with noise, or at 1e-9, they were not.
 
@@ -182,6 +184,7 @@ def test_the_error_that_a_solver_leaves_in_slopes_is_seen_in_the_rows(name, rows
 
 
 @pytest.mark.parametrize("name", BY_SCIPY)
+@pytest.mark.slow
 def test_the_first_look_sees_the_law_behind_the_errors_of_a_solver(name):
     """It misses most rows by little and some by much, and nothing else is probable."""
     slopes, start, end, names, state, law = BY_SCIPY[name]
@@ -204,6 +207,7 @@ def test_a_relaxing_oscillator_of_a_loose_solver_is_found():
     assert found.equations["x"] == sympy.Symbol("y")
 
 
+@pytest.mark.slow
 def test_a_law_may_be_missed_by_the_errors_of_a_solver():
     """The verdict of exact rows of a loose solver allows for them, but for no other equation.
 

@@ -153,6 +153,7 @@ def test_inputs_of_a_map_are_values_or_expressions():
         iterate(driven, [0.0], times)
 
 
+@pytest.mark.slow
 def test_the_command_finds_and_iterates_a_map(tmp_path):
     """--map prints x[n+1], --json says "map", and simulate iterates what was saved."""
     dynsr.data.write_csv(logistic(100), tmp_path / "m.csv")

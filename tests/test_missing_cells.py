@@ -118,6 +118,7 @@ def test_noise_and_curve_of_a_state_are_those_of_its_own_rows():
         assert np.all(np.isfinite(smoothed.noise[:, place]) == run.measured[:, place])
 
 
+@pytest.mark.slow
 def test_a_curve_is_as_unsure_as_rows_are_far():
     """Where nobody measured for 3 length scales of a process, errors are as large as is said.
 
@@ -160,6 +161,7 @@ def test_what_stands_in_an_empty_cell_counts_nothing(junk):
 
 
 @pytest.mark.parametrize("share", [0.15, 0.5])
+@pytest.mark.slow
 def test_a_law_is_judged_by_what_was_measured(share):
     """R2 and the misses in units of the noise are those of the measured cells alone."""
     run = cycle(0.03, share=share)
@@ -253,6 +255,7 @@ def test_a_start_that_was_not_measured_is_fitted():
 
 
 @pytest.mark.parametrize(("noise", "near"), [(0.0, 1e-5), (0.01, 0.01), (0.05, 0.05)])
+@pytest.mark.slow
 def test_pictures_and_scores_begin_where_the_equations_begin(noise, near):
     """The first 15 rows of the predator are empty: its curve says little of its start."""
     run = cycle(noise, share=0.0)
@@ -267,6 +270,7 @@ def test_pictures_and_scores_begin_where_the_equations_begin(noise, near):
     assert np.array_equal(found.carried[0].x[15:], x[15:])
 
 
+@pytest.mark.slow
 def test_exports_begin_where_the_equations_begin(tmp_path):
     """Each run of a problem of PEtab does too, and says it of a state that its first row lacks."""
     pytest.importorskip("libsbml", reason="libsbml is not installed")

@@ -102,6 +102,7 @@ def test_progress_in_a_notebook_goes_when_it_ends(kernel):
     assert kernel.shown[-1] == {"text/html": "", "text/plain": ""}
 
 
+@pytest.mark.slow
 def test_a_discovery_shows_progress_in_a_notebook_by_itself(kernel):
     """Without a word there are lines; False asks for none, a function takes their place."""
     data, quick = (T, np.exp(-T)), {"preset": "quick", "functions": (), "jobs": 1}
@@ -114,6 +115,7 @@ def test_a_discovery_shows_progress_in_a_notebook_by_itself(kernel):
     assert kernel.shown == []
 
 
+@pytest.mark.slow
 def test_no_notebook_no_lines(capsys):
     """In a script nothing is shown unless it is asked for, and never where nobody watches."""
     assert not in_notebook()

@@ -60,6 +60,7 @@ def test_nothing_is_odd_in_a_sound_column(name):
 
 
 @pytest.mark.parametrize("rows", [15, 40, 200])
+@pytest.mark.slow
 def test_sound_noise_is_called_odd_as_rarely_as_is_said(rows):
     """Of 150 columns of noise alone at most one in thirty says something."""
     said = [kinds(noise(1.0, seed, rows), np.arange(1.0 * rows)) for seed in range(150)]

@@ -113,6 +113,7 @@ def test_a_position_alone_is_of_second_order_by_itself():
     assert "try --order 2" in kept.verdict.states["x"].reason
 
 
+@pytest.mark.slow
 def test_a_column_that_does_not_come_back_is_of_first_order():
     """Growth to a limit is searched in first order alone."""
     t = np.linspace(0, 10, 60)
@@ -150,6 +151,7 @@ def test_of_two_states_one_may_be_of_second_order():
     assert scores["x"]["trajectory_rmse"] < 1e-3 and scores["c"]["trajectory_rmse"] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_known_force_on_the_velocity_is_left_out():
     """known may speak of the velocity: only the rest is searched."""
     found = dynsr.discover(swing(times=FEW)[0], order=2, known={"x_dot": "-4*x"}, **QUICK)
@@ -172,6 +174,7 @@ def test_the_time_is_a_variable_where_it_is_asked_for():
         assert found.settings["explicit_time"] is True
 
 
+@pytest.mark.slow
 def test_the_time_is_no_variable_otherwise():
     """Without the switch the equation of z = sin t has no t."""
     t = np.linspace(0, 20, 150)

@@ -123,6 +123,7 @@ def test_other_commands_end_as_quietly(kind, data, saved, tmp_path):
         assert written is None or written.stat().st_size > 0, words
 
 
+@pytest.mark.slow
 def test_a_result_is_saved_before_it_is_shown(data, tmp_path, monkeypatch):
     """When the first equation is shown the file is there; the report may come later."""
     seen = []

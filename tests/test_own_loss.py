@@ -33,6 +33,7 @@ def line() -> tuple[np.ndarray, np.ndarray]:
     return x[:, None], 2 + 1.5 * x + rng.exponential(1.0, 300)
 
 
+@pytest.mark.slow
 def test_a_function_of_ones_own_finds_the_quantile() -> None:
     """Nine rows in ten lie below the formula, where without it about half do."""
     X, y = line()
@@ -86,6 +87,7 @@ def test_robust_losses_leave_outliers_behind(name: str) -> None:
     assert (1.9 < further / far < 2.3) if name == "huber" else (1 < further / far < 1.9)
 
 
+@pytest.mark.slow
 def test_squares_are_what_everything_counts_by_itself() -> None:
     """Squared and none at all are the same, of the estimator and of a discovery."""
     X, y = line()
@@ -163,6 +165,7 @@ def test_functions_of_one_name_are_told_apart(tmp_path: Path) -> None:
         give(1.2)
 
 
+@pytest.mark.slow
 def test_the_shell_takes_a_loss(tmp_path: Path) -> None:
     """--loss reaches the record; an unknown one is one line."""
     t = np.linspace(0, 4, 80)

@@ -34,6 +34,7 @@ def test_a_part_that_there_is_not_is_refused():
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.slow
 def test_what_is_left_out_stands_in_the_record(noise):
     """A search with hardly any part left still ends, and its record names what was left out."""
     needed = {"pruning", "end-look", "end-simple", "methods"}

@@ -143,6 +143,7 @@ def test_a_twin_is_tried_though_the_states_are_bent_beside_it():
         assert skeleton(found.exprs[state]) == skeleton(floats(PLANET)[state])
 
 
+@pytest.mark.slow
 def test_bits_that_equations_share_are_the_same_in_every_process():
     """Python orders sets of symbols anew in each process; sums of bits are rounded alike all the
     same, so that equal systems tie in all of them.

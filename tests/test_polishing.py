@@ -198,6 +198,7 @@ def test_a_pick_that_was_put_first_is_explained_beside_a_shorter_rival():
     assert told.endswith("found by the first look. x takes 30 bits less on the slopes alone.")
 
 
+@pytest.mark.slow
 def test_noise_in_proportion_to_states_shows_that_a_factor_is_not_1():
     """An epidemic with the rate 0.99 in 1 % of noise: 1 is four of its standard errors away."""
     t = np.linspace(0, 12, 150)

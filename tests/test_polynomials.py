@@ -29,6 +29,7 @@ def fitted(rows, end):
 
 
 @pytest.mark.parametrize("rows", [60, 80])
+@pytest.mark.slow
 def test_all_products_follow_a_ring_of_squares_in_few_rows(rows):
     """Ten rows an oscillation bend smoothed curves; what holds the law is nearer to the states."""
     best = min(fitted(rows, 8.0), key=lambda fit: fit.bits)

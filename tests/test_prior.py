@@ -26,6 +26,7 @@ def templates(text):
     return [factor.template for factor in read_body(parse(text))]
 
 
+@pytest.mark.slow
 def test_the_counts_are_those_of_the_corpus():
     """The file that is read is what counting gives."""
     kept = json.loads(_FILES.joinpath("prior.json").read_text("utf-8"))

@@ -113,6 +113,7 @@ def test_a_terminal_shows_every_running_search(monkeypatch, total):
 
 
 @pytest.mark.parametrize("asked", [{"hidden": "y"}, {"stochastic": True}])
+@pytest.mark.slow
 def test_whole_systems_are_shown_while_they_are_searched(asked):
     """What is best so far is in reports of what runs, and in those of what has ended."""
     t, steps = np.linspace(0, 8, 80), []

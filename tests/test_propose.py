@@ -54,6 +54,7 @@ def test_the_law_is_proposed_first(law: str) -> None:
     np.testing.assert_allclose(found, own, rtol=0.15, atol=0.02)
 
 
+@pytest.mark.slow
 def test_terms_that_a_beam_passes_by_are_found() -> None:
     """A sum whose terms alone and in pairs say little is found, with more products around it."""
     law = "0.8*x - 0.75*x*y + 0.2*x*y**2 - 0.3*x**2"

@@ -189,6 +189,7 @@ def test_a_foreign_module_is_used_where_it_is_at_home():
             assert any(m.split(".")[0] == foreign for m, _, _ in taken), (file, foreign)
 
 
+@pytest.mark.slow
 def test_no_import_is_circular():
     """Files import one another in no circle, wherever the import stands, for types too."""
     graph: dict[str, set[str]] = {}
@@ -211,6 +212,7 @@ def test_no_import_is_circular():
         pytest.fail(" <- ".join(error.args[1]))
 
 
+@pytest.mark.slow
 def test_a_room_exports_what_others_take():
     """Every name at a room's door is taken by another room, is public, or is said in the docs."""
     taken = {

@@ -55,6 +55,7 @@ def test_a_population_of_billions_keeps_its_law_and_its_constants():
     assert found.settings["units"] == {"t": 1.0, "x": 1e8}
 
 
+@pytest.mark.slow
 def test_other_formulas_and_words_of_a_verdict_are_in_the_units_of_the_data():
     """An alternative gives slopes of the size of the data, and the span is in its unit of time."""
     t = np.linspace(0, 6, 60)
@@ -164,6 +165,7 @@ def test_a_swing_of_huge_numbers_has_its_law_of_second_order():
     assert found.simulate().x[-1, 0] == pytest.approx(1e9 * np.cos(run.t[-1]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_rotor_in_degrees_is_searched_in_radians():
     """Over ten turns, in noise: its sine is found, and constants are of the degrees of the data."""
     t = np.linspace(0, 6, 300)

@@ -209,6 +209,7 @@ def test_the_source_of_a_formula_names_the_stage_that_found_it():
         ("central4", ("simple functions", "rational", "polynomial", "brute force")),
     ],
 )
+@pytest.mark.slow
 def test_values_that_may_be_exact_have_stages_of_their_own(scheme, first):
     """Given values get the sums and the long enumeration first; slopes the robust stages."""
     clean = _samples("sin(a*b) + 0.1*a^3", 100)

@@ -35,6 +35,7 @@ def test_versions_name_every_part():
     assert {"dynsr", "numpy", "sympy", "python"} <= set(EmbeddedEngine().versions())
 
 
+@pytest.mark.slow
 def test_an_engine_loads_no_more_than_it_needs():
     """A missing Julia is told before NumPy and SymPy load, the slowest part of a start; the
     embedded engine, once chosen, has loaded neither Julia's bridge nor torch nor tables.

@@ -202,6 +202,7 @@ DISCOVERIES = [
 ]
 
 
+@pytest.mark.slow
 def test_every_setting_stands_in_the_record():
     """Each of more than a hundred, changed, is another one in the record of a discovery."""
     paths = dict(leaves(DISCOVERY))
@@ -212,6 +213,7 @@ def test_every_setting_stands_in_the_record():
         assert at(changed, path) != at(plain, path), path
 
 
+@pytest.mark.slow
 def test_what_is_seldom_read_is_read_where_it_belongs():
     """The settings that small discoveries do not reach are read in the room that has them."""
     reads = {}

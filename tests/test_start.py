@@ -46,6 +46,7 @@ def earlier() -> dynsr.Discovery:
     return replace(found, equations=shifted, front=few)
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_from_the_folder_that_another_one_left(tmp_path: Path) -> None:
     """What out= leaves is enough for start=, and a folder without a result is told apart."""
     data = prey(60, 4)
@@ -173,6 +174,7 @@ def test_another_start_is_another_discovery(earlier: dynsr.Discovery, tmp_path: 
         dynsr.discover(prey(150, 6), **options)
 
 
+@pytest.mark.slow
 def test_the_shell_goes_on(earlier: dynsr.Discovery, tmp_path: Path) -> None:
     """--start takes the file, and the folder that a discovery was kept in."""
     own = prey(200, 8)

@@ -246,6 +246,7 @@ def test_other_units_give_the_same_equations(found):
     assert levels[1] * 86400 / 1e6 == pytest.approx(levels[0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_it_is_kept_and_shown(found, tmp_path):
     """The record has the noise, and so have the report, its pictures and the scores."""
     again = dynsr.load(found.save(tmp_path / "d.json"))
@@ -263,6 +264,7 @@ def test_it_is_kept_and_shown(found, tmp_path):
             ask()
 
 
+@pytest.mark.slow
 def test_empty_cells_are_left_out():
     """Steps between rows that were measured are all that counts."""
     run = relaxing()

@@ -146,6 +146,7 @@ def test_known_errors_of_a_sum_are_those_of_the_sum():
     assert units.values.tolist() == [0.1, 0.1] and units.others == {"S": 0.1}
 
 
+@pytest.mark.slow
 def test_the_shell_takes_sums(tmp_path):
     """`--observed "total=S+I"` searches S and I, and scores them on the same table."""
     pd.DataFrame(epidemic(0.0)).to_csv(tmp_path / "data.csv", index=False)

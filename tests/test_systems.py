@@ -133,6 +133,7 @@ def test_the_truth_is_among_what_is_found_alone(name):
         assert set(coefficients(parse(text))) in shapes, state
 
 
+@pytest.mark.slow
 def test_the_exploration_is_in_the_order_of_bits():
     """No shape comes twice, and each takes at least the bits of the one before it.
 
@@ -286,6 +287,7 @@ def test_what_leaves_one_state_enters_another():
         )
 
 
+@pytest.mark.slow
 def test_a_flow_that_carries_one_carries_the_other():
     """Two boxes exchange water at |h - s|, which costs once, and is offered to each of them."""
     boxes = {"h": "1.2 - h - h*abs(h - s)", "s": "0.5 - 0.4*s - s*abs(h - s)"}

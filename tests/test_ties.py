@@ -42,6 +42,7 @@ def test_what_is_one_is_printed_as_one(name):
             assert one == pytest.approx(true, rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_the_data_tell_apart_stays_apart():
     """The same ring whose third rate is 4 % off: that one has a number of its own."""
     texts, start = SYSTEMS["a ring of three"]

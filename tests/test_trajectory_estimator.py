@@ -84,6 +84,7 @@ def swing():
     return t, np.column_stack([np.sin(2 * t), 2 * np.cos(2 * t)])
 
 
+@pytest.mark.slow
 def test_the_slopes_are_those_of_the_equations(swing):
     """predict gives x' of every row; score is R2 of the slopes, 1 at best."""
     t, x = swing
@@ -181,6 +182,7 @@ def test_the_step_may_be_that_of_the_estimator(swing):
         TrajectoryRegressor(**QUICK).fit(x)
 
 
+@pytest.mark.slow
 def test_coefficients_are_those_of_the_equations(swing):
     """Features times coefficients are the slopes; complexity counts what is not 0."""
     t, x = swing
@@ -198,6 +200,7 @@ def test_coefficients_are_those_of_the_equations(swing):
     assert pair.coefficients().shape == (2, 2) and pair.complexity == 2
 
 
+@pytest.mark.slow
 def test_a_method_of_differentiation_is_used(swing):
     """A function of states and times, or an object of PySINDy, gives the slopes."""
     t, x = swing

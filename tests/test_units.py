@@ -163,6 +163,7 @@ def test_a_constant_within_a_function_has_its_unit():
     assert [one.unit for one in found.parameters.values()] == ["mol/h", "mol"]
 
 
+@pytest.mark.slow
 def test_a_variation_that_makes_no_sense_is_not_taken(swing):
     """With a length in the place of the angle, no equation holds its sine."""
     t, th, w = swing.to_numpy().T

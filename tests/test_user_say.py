@@ -167,6 +167,7 @@ def prey() -> dynsr.Trajectory:
     return lotka_volterra()
 
 
+@pytest.mark.slow
 def test_signs_zero_and_length_hold_in_the_answer_and_on_its_front(prey: dynsr.Trajectory) -> None:
     """Without x y in x', with a length of 40 bits and no sines, all formulas keep to it."""
     found = dynsr.discover(
@@ -191,6 +192,7 @@ def test_signs_zero_and_length_hold_in_the_answer_and_on_its_front(prey: dynsr.T
     }
 
 
+@pytest.mark.slow
 def test_what_is_conserved_is_conserved_exactly() -> None:
     """S' + I' + R' is 0 symbolically; R' follows, and so do the errors of its constants."""
     found = dynsr.discover(
@@ -261,6 +263,7 @@ def test_a_wrong_wish_is_one_clear_line(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_wishes_belong_to_the_folder_of_a_discovery(tmp_path) -> None:
     """The same call goes on in its folder; another wish is another discovery."""
     t = np.linspace(0, 4, 60)

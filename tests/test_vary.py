@@ -91,6 +91,7 @@ def test_constants_by_hand_are_those_of_a_fit_to_each_run():
         assert own.error == pytest.approx(np.sqrt(spread[1, 1]), rel=0.35)
 
 
+@pytest.mark.slow
 def test_parameters_by_hand_differ_and_all_others_are_shared():
     """Only the parameter that was named has a value for each run."""
     found = grown(0.01)
@@ -325,6 +326,7 @@ def test_what_cannot_differ_is_refused_in_one_line():
         RunParameters(("a", "b"), {"k1": varied.by_run["k1"][:1]})
 
 
+@pytest.mark.slow
 def test_a_constant_of_two_runs_keeps_no_relation_of_columns():
     """An epidemic whose infection rate differs: that this takes two values says nothing of the law.
 

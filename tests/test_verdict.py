@@ -145,6 +145,7 @@ def test_what_follows_but_leaves_more_than_noise_is_an_approximation():
     assert "not noise" in found.states["p"].reason
 
 
+@pytest.mark.slow
 def test_a_term_that_the_data_do_not_ask_for_keeps_an_equation_from_being_a_law():
     """A cubic damping that is not there has a small ratio and probability, and is named."""
     data = measure(OSCILLATOR, [1.0, 0.0], 10, 150, 0.03)
@@ -198,6 +199,7 @@ def test_a_formula_that_can_be_the_same_function_is_no_rival():
     assert found.level == "law" and found.alternatives["y"] == ()
 
 
+@pytest.mark.slow
 def test_chaos_is_followed_for_as_long_as_errors_allow():
     """Lorenz with noise is a law over windows, whose length is said."""
     data = measure(LORENZ, [-8.0, 7.0, 27.0], 15, 1500, 0.01)
@@ -218,6 +220,7 @@ def test_chaos_in_much_noise_is_followed_from_states_that_are_given():
     assert give_verdict(LORENZ, [data], curves=[clean.x]).level == "law"
 
 
+@pytest.mark.slow
 def test_a_whole_run_is_followed_in_much_noise():
     """Noise takes its part of the variance: the R2 of the law itself is below 0.99 then.
 
@@ -367,6 +370,7 @@ def test_opened_constants_give_back_the_equation(text):
     assert len(places) >= 1
 
 
+@pytest.mark.slow
 def test_a_law_in_noise_is_probable_among_what_was_compared():
     """A formula that takes b bits more has 2^-b of the weight; a law has 95 % of all of it.
 
@@ -383,6 +387,7 @@ def test_a_law_in_noise_is_probable_among_what_was_compared():
     assert give_verdict(tank, [exact], alternatives={"h": [(other, 20.0)]}).level == "law"
 
 
+@pytest.mark.slow
 def test_the_systems_that_were_compared_are_weighed_together():
     """Formulas of two states make two other systems; one that changes both states counts once."""
     tanks = {"h": parse("0.5 - 0.4*sqrt(h)"), "g": parse("0.4*sqrt(h) - 0.3*g")}
@@ -417,6 +422,7 @@ def test_what_divides_by_zero_between_the_rows_is_no_law():
     ("state", "open_form"),
     [("u", "(-0.3*u^2 - 1.69*w)/(0.3*x + 1)"), ("w", "0.946745562*u^3 + u*w^2")],
 )
+@pytest.mark.slow
 def test_what_a_relation_of_the_columns_leaves_open_is_no_law(state, open_form):
     """Along a planet's one ellipse a wrong ratio follows it exactly, and a wrong cubic polynomial;
     neither is a law of planets.

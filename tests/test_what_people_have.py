@@ -135,6 +135,7 @@ def test_another_form_is_no_law_of_a_map(noise):
     ("name", "wanted"),
     [("q", ["--order 2"]), ("z", ["--order 2", "--explicit-time", "period 6.28"])],
 )
+@pytest.mark.slow
 def test_one_column_that_swings_lacks_something(name, wanted):
     """The position alone of a pendulum, and sin t: order, or time, is named as the cause."""
     t = np.linspace(0, 20, 400)
