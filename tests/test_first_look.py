@@ -51,6 +51,24 @@ LAWS = {
 }
 
 
+@pytest.mark.slow
+def test_two_saturations_far_above_their_constants_are_found_together():
+    """Alone each follows nothing; with all constants free they are expected to, and they do."""
+
+    def circuit(a, b, c, d):
+        return (
+            -0.87 * a / (a + 0.98) + 0.27 * b + 1.8 * d**3 / (d**3 + 1) + 0.15,
+            -0.49 * b + 0.38 * c + 0.26 + 2 / (a + 1),
+            0.93 * b / (b + 0.54) - 0.98 * c / (c + 0.77),
+            -0.49 * d / (d + 0.41) + 2.6 / (c**4 + 1),
+        )
+
+    data = run(circuit, (2.1, 1.6, 2.3, 1.7), 16.0, 300, ("a", "b", "c", "d"))
+    found = dynsr.discover(data, targets=["c"], jobs=1)
+    law = parse("0.93*b/(b + 0.54) - 0.98*c/(c + 0.77)")
+    assert sympy.simplify(found.equations["c"] - law) == 0
+
+
 # The pendulum's is told by distant rows below.
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "a pendulum"])
 @pytest.mark.slow

@@ -45,7 +45,8 @@ class ProposalSettings:
     ----------
     nodes : points of a view of the data at most.
     beam : sums of each length that are grown further.
-    singles : single terms that are grown further; half as many pairs, and so on to the beam.
+    shortest : the same of single terms, and of pairs: what tells nothing alone may tell all
+        together.
     parents : shorter sums from which the same one is reached at most.
     starts : neighbours of each constant inside a form from which fits begin, the most probable.
     fitted : times as many are fitted as are grown further.
@@ -71,7 +72,7 @@ class ProposalSettings:
 
     nodes: int = 240
     beam: int = 40
-    singles: int = 160
+    shortest: tuple[int, ...] = (160, 80)
     parents: int = 2
     starts: int = 1
     fitted: int = 2
@@ -95,7 +96,9 @@ class ProposalSettings:
 
 PROPOSALS = ProposalSettings()
 # Exact values tell more sums apart.
-EXACT = ProposalSettings(beam=80, singles=320, steps=12, fitted=4, shorter=True, whole=(16,))
+EXACT = ProposalSettings(
+    beam=80, shortest=(4000, 160), steps=12, fitted=4, shorter=True, whole=(16,)
+)
 # Functions of several constants end at the law from few of their starts.
 RARE = ProposalSettings(
     starts=9,
@@ -483,22 +486,24 @@ class Proposer:
     ) -> _Layer:
         """Give the best sums with one form more.
 
-        Each form is added to each sum with its best constant. Those that are expected to take the
-        fewest bits are fitted, if they were not tried before.
+        Each form is added to each sum with its best constant, while all constants inside move too.
+        Those that are expected to take the fewest bits are fitted, if they were not tried before.
         """
         if not len(layer):
             return layer
         places = np.flatnonzero(np.isin(self.library.owners, tier))
         first = np.searchsorted(self.library.owners[places], tier)
-        gains = self._gains(layer, places)
+        free = self._freed(layer)
+        gains = self._gains(free, places)
         best = np.maximum.reduceat(gains, first, axis=0)
         # What is expected below nothing at all is not expected to be better for it.
-        left = np.maximum(layer.left - best, SINGULAR * layer.left.max())
+        left = np.maximum(free.left - best, SINGULAR * layer.left.max())
         bits = self.evidence.misses(left) + self.costs[layer.places].sum(axis=1)
         bits = bits + self.costs[tier, None]
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf
-        # What tells nothing alone may tell all together, and the fewer forms, the more so.
-        width = max(self.settings.beam, self.settings.singles // 2 ** layer.places.shape[1])
+        # What tells nothing alone may tell all together.
+        length, widths = layer.places.shape[1], self.settings.shortest
+        width = widths[length] if length < len(widths) else self.settings.beam
         room, ways = self._room(self.settings.fitted * width), dict[int, list[tuple[int, int]]]()
         for owner, row, parent in self._choose(layer, tier, bits, room, tried):
             # From the constants of another parent a sum may end elsewhere.
@@ -513,6 +518,22 @@ class Proposer:
             return layer.some(np.zeros(0, dtype=int))
         parents, begun = np.array([way for own in ways.values() for way in own]).T
         return self._best_of_each(self._extended(layer, parents, begun), width)
+
+    def _freed(self, layer: _Layer) -> _Layer:
+        """Set the constants inside sums free: the slopes by them are taken out of what is left."""
+        basis, rest = layer.basis, layer.rest
+        for slopes in layer.slopes.reshape(len(layer), -1, rest.shape[1]).swapaxes(0, 1):
+            units = _unit(np.nan_to_num(slopes, posinf=0.0, neginf=0.0)).rows
+            # Once more, for what rounding leaves of the others.
+            for _ in range(2 if units.any() else 0):
+                said = np.einsum("bsr,br->bs", basis, units)
+                units = units - np.einsum("bs,bsr->br", said, basis)
+            sizes = np.linalg.norm(units, axis=1)
+            units = units / np.where(sizes**2 > NOTHING_LEFT, sizes, np.inf)[:, None]
+            rest = rest - np.sum(rest * units, axis=1)[:, None] * units
+            basis = np.concatenate([basis, units[:, None]], axis=1)
+        left = np.where(np.isfinite(layer.left), np.sum(rest**2, axis=1), np.inf)
+        return replace(layer, basis=basis, rest=rest, left=left)
 
     def _choose(
         self,
