@@ -48,6 +48,8 @@ class ProposalSettings:
     shortest : the same of single terms, and of pairs: what tells nothing alone may tell all
         together.
     parents : shorter sums from which the same one is reached at most.
+    free : whether the constants inside a sum move as it is told what a new term would gain; in
+        noise they follow what is no law.
     starts : neighbours of each constant inside a form from which fits begin, the most probable.
     fitted : times as many are fitted as are grown further.
     shorter : whether sums lose terms that do not pay as soon as they are grown. Where noise hides
@@ -74,6 +76,7 @@ class ProposalSettings:
     beam: int = 40
     shortest: tuple[int, ...] = (160, 80)
     parents: int = 2
+    free: bool = False
     starts: int = 1
     fitted: int = 2
     shorter: bool = False
@@ -97,7 +100,13 @@ class ProposalSettings:
 PROPOSALS = ProposalSettings()
 # Exact values tell more sums apart.
 EXACT = ProposalSettings(
-    beam=80, shortest=(4000, 160), steps=12, fitted=4, shorter=True, whole=(16,)
+    beam=80,
+    shortest=(4000, 160),
+    free=True,
+    steps=12,
+    fitted=4,
+    shorter=True,
+    whole=(16,),
 )
 # Functions of several constants end at the law from few of their starts.
 RARE = ProposalSettings(
@@ -486,14 +495,14 @@ class Proposer:
     ) -> _Layer:
         """Give the best sums with one form more.
 
-        Each form is added to each sum with its best constant, while all constants inside move too.
-        Those that are expected to take the fewest bits are fitted, if they were not tried before.
+        Each form is added to each sum with its best constant. Those that are expected to take the
+        fewest bits are fitted, if they were not tried before.
         """
         if not len(layer):
             return layer
         places = np.flatnonzero(np.isin(self.library.owners, tier))
         first = np.searchsorted(self.library.owners[places], tier)
-        free = self._freed(layer)
+        free = self._freed(layer) if self.settings.free else layer
         gains = self._gains(free, places)
         best = np.maximum.reduceat(gains, first, axis=0)
         # What is expected below nothing at all is not expected to be better for it.
