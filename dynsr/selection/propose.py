@@ -110,7 +110,8 @@ EXACT = ProposalSettings(
 )
 # Functions of several constants end at the law from few of their starts.
 RARE = ProposalSettings(
-    starts=9,
+    free=True,
+    starts=3,
     steps=25,
     tries=((1.0, 1e-9), (0.5, 1e-9), (1.0, 1.0)),
     library=LibrarySettings(rare=True),
