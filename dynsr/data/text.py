@@ -25,6 +25,7 @@ import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
+from dynsr.data.brackets import may_be_bracketed, read_brackets
 from dynsr.data.layout import (
     NUMBER,
     TEXT,
@@ -61,9 +62,11 @@ _MAGIC = {
     b"\xd0\xcf\x11\xe0": "an old Excel file, not text; name it .xls",
 }
 _SEP = re.compile(r"\s*\"?sep=(.)\"?\s*", re.IGNORECASE)
-# A line of remarks, but not one whose first cell is an error of a spreadsheet or a name "#".
+# A line of remarks, but not one whose first cell is an error of a spreadsheet or a name "#". Julia
+# says the size of an array above it.
 _COMMENT = re.compile(
-    r"\s*(#(?!N/A|NA\b|NV\b|DIV/0|VALUE|REF!|NUM!|NAME\?|NULL!|WERT|ZAHL|BEZUG|\d)|%|//)"
+    r"\s*(#(?!N/A|NA\b|NV\b|DIV/0|VALUE|REF!|NUM!|NAME\?|NULL!|WERT|ZAHL|BEZUG|\d)|%|//"
+    r"|\d+\u00d7\d+ .*:\s*$)"
 )
 _REMARKS = re.compile(r"(comment|remark|note|bemerkung|kommentar|remarque)s?", re.IGNORECASE)
 _MARK = re.compile(r"^\s*(#|%|//)+\s*")
@@ -92,6 +95,8 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
             found = read_monitor(file, path.name)
         if found is not None:
             return found
+    if (array := _load_array(path, head)) is not None:
+        return array
     try:
         return _load_text(path, _Head(path.name, head, cut, _encoding(head)), decimal)
     except UnicodeDecodeError:
@@ -105,7 +110,7 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
 def read_header(path: Path) -> tuple[str, ...]:
     """Give the names of the columns of a text; only its first lines are read."""
     head, cut = _read_head(path)
-    if printed := _first_of_monitor(path, head):
+    if printed := _first_of_monitor(path, head) or _load_array(path, head):
         return printed.names
     return tuple(_Head(path.name, head, cut, _encoding(head)).layout.names)
 
@@ -114,6 +119,19 @@ def _first_of_monitor(path: Path, head: bytes) -> Columns | None:
     """Read the first lines as those that a program printed."""
     lines = _LINE_END.split(head.decode(_encoding(head), errors="replace"))
     return read_monitor(lines[:_HEAD_LINES], path.name)
+
+
+def _load_array(path: Path, head: bytes) -> Columns | None:
+    """Read a text that is an array in brackets; None where it is anything else."""
+    lines = _LINE_END.split(head.decode(_encoding(head), errors="replace"))
+    if not may_be_bracketed("\n".join(lines[:_HEAD_LINES])):
+        return None
+    check_size(path, _unpacked_size(path))
+    with _opener(path)(path, "rt", encoding=_encoding(head), errors="replace") as file:
+        found = read_brackets(file.read(), path.name)
+    if found is None:
+        return None
+    return assemble(list(found.names), list(found.values.T), path.name)
 
 
 def _encoding(head: bytes) -> str:
@@ -430,9 +448,9 @@ def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:
 
 
 def _are_row_names(column: Any) -> bool:
-    """Whether a first column that has no name counts the rows from 1, or names each, as R does."""
+    """Whether a first column that has no name counts the rows, or names each, as R does."""
     if column.dtype.kind in "iu":
-        return column.tolist() == list(range(1, len(column) + 1))
+        return bool(np.all(np.diff(column) == 1))
     return column.dtype.kind not in "fb" and bool(column.notna().all() and column.is_unique)
 
 

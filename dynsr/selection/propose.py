@@ -45,10 +45,10 @@ class ProposalSettings:
     ----------
     nodes : points of a view of the data at most.
     beam : sums of each length that are grown further.
-    shortest : the same of single terms, and of pairs: what tells nothing alone may tell all
-        together.
+    shortest : the same of single terms, and of pairs: a term that explains nothing alone may
+        explain all beside others.
     parents : shorter sums from which the same one is reached at most.
-    free : whether the constants inside a sum move as it is told what a new term would gain; in
+    free : whether all constants inside a sum move where the gain of a new term is expected. In
         noise they follow what is no law.
     starts : neighbours of each constant inside a form from which fits begin, the most probable.
     fitted : times as many are fitted as are grown further.
@@ -511,7 +511,6 @@ class Proposer:
         bits = self.evidence.misses(left) + self.costs[layer.places].sum(axis=1)
         bits = bits + self.costs[tier, None]
         bits[~(np.isfinite(bits) & (best > 0))] = np.inf
-        # What tells nothing alone may tell all together.
         length, widths = layer.places.shape[1], self.settings.shortest
         width = widths[length] if length < len(widths) else self.settings.beam
         room, ways = self._room(self.settings.fitted * width), dict[int, list[tuple[int, int]]]()
@@ -530,7 +529,7 @@ class Proposer:
         return self._best_of_each(self._extended(layer, parents, begun), width)
 
     def _freed(self, layer: _Layer) -> _Layer:
-        """Set the constants inside sums free: the slopes by them are taken out of what is left."""
+        """Set the constants inside sums free: slopes by them are taken out of the residuals."""
         basis, rest = layer.basis, layer.rest
         for slopes in layer.slopes.reshape(len(layer), -1, rest.shape[1]).swapaxes(0, 1):
             units = _unit(np.nan_to_num(slopes, posinf=0.0, neginf=0.0)).rows
