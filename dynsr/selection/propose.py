@@ -46,7 +46,7 @@ class ProposalSettings:
     nodes : points of a view of the data at most.
     beam : sums of each length that are grown further.
     shortest : the same of single terms, and of pairs: a term that explains nothing alone may
-        explain all beside others.
+        explain all together with others.
     parents : shorter sums from which the same one is reached at most.
     free : whether all constants inside a sum move where the gain of a new term is expected. In
         noise they follow what is no law.
