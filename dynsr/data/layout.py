@@ -26,6 +26,8 @@ _BRACKETED = re.compile(r"\s*[\[(<].{0,24}[\])>]\s*")
 _NO_UNIT = frozenset(
     ("", "-", "--", "\u2013", "\u2014", "1", "none", "n/a", "na", "-/-", "[-]", "(-)")
 )
+# Types of columns that R prints in brackets.
+_TYPES = frozenset(("dbl", "int", "chr", "lgl", "fct", "date", "dttm", "drtn"))
 _TIME = re.compile(
     r"t|(time|zeit|temps|date|datum|uhrzeit|timestamp)\w*|elapsed.*|.*\b(time|zeit)\b.*",
     re.IGNORECASE,
@@ -326,7 +328,7 @@ def _as_units(row: Row) -> list[str] | None:
     if not told or not all(_BRACKETED.fullmatch(cell) or is_unit(cell) for cell in told):
         return None
     bare = [cell.strip("[]()<> ") for cell in cells]
-    return ["" if cell.lower() in _NO_UNIT else cell for cell in bare]
+    return ["" if cell.lower() in _NO_UNIT | _TYPES else cell for cell in bare]
 
 
 def _choose_names(rows: Sequence[Row]) -> tuple[list[str], list[Row]]:

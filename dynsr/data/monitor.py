@@ -16,6 +16,12 @@ from dynsr.data.assembling import Columns, assemble
 from dynsr.data.trajectory import FEWEST_ROWS
 
 _ARROW = re.compile(r"\s*(?P<stamp>\d{1,2}:\d\d:\d\d(?:[.,]\d+)?)\s*->\s*(?P<rest>.*)")
+# What a program writes to its log: perhaps a time, how grave it is, perhaps who writes.
+_LOGGED = re.compile(
+    r"\W{0,2}(?P<stamp>\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:[.,]\d+)?)?.{0,60}?"
+    r"\b(?:DEBUG|INFO|WARN(?:ING)?|ERROR|CRITICAL)\b[\]:|\s>-]*(?:[\w.]+:(?=[^\W\d])|.* - )?"
+    r"(?P<rest>.*)"
+)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|inf"
 _PAIR = re.compile(
     rf"[\s,;|]*(?P<name>[^\W\d][\w ()/%-]*?)\s*[:=]\s*(?P<value>{_NUMBER})(?![.:\d])"
@@ -37,6 +43,7 @@ def read_monitor(lines: Iterable[str], label: str) -> Columns | None:
     label : what a message calls it.
 
     A line is of pairs such as ``t: 0.1, x = 2.5 mV``, or of a clock, ``->`` and pairs or numbers.
+    What a log has before them is left out, but for the time.
     Lines that are neither, or have other names than most, are left out.
 
     >>> found = read_monitor([f"t={k} x={k * k}" for k in range(9)], "log.txt")
@@ -66,14 +73,16 @@ def read_monitor(lines: Iterable[str], label: str) -> Columns | None:
 
 def _read_line(line: str) -> Cells:
     """Give name -> cell of a line; nothing where it is no such line."""
-    stamped = _ARROW.fullmatch(line.rstrip())
+    stamped = _ARROW.fullmatch(line.rstrip()) or _LOGGED.fullmatch(line.strip())
     rest = stamped["rest"] if stamped else line.strip()
     cells = _read_pairs(rest)
     if stamped and not cells:
         own = [part for part in _BETWEEN.split(rest.strip()) if part]
         if all(map(_VALUE.fullmatch, own)):
             cells = {f"x{k}" if len(own) > 1 else "x": cell for k, cell in enumerate(own, 1)}
-    return {_CLOCK: stamped["stamp"], **cells} if stamped and cells else cells
+    if stamped and stamped["stamp"] and cells and _CLOCK not in cells:
+        return {_CLOCK: stamped["stamp"].replace(",", "."), **cells}
+    return cells
 
 
 def _read_pairs(text: str) -> Cells:

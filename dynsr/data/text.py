@@ -25,6 +25,7 @@ import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
+from dynsr.data.boxes import without_box
 from dynsr.data.brackets import may_be_bracketed, read_brackets
 from dynsr.data.layout import (
     NUMBER,
@@ -63,10 +64,10 @@ _MAGIC = {
 }
 _SEP = re.compile(r"\s*\"?sep=(.)\"?\s*", re.IGNORECASE)
 # A line of remarks, but not one whose first cell is an error of a spreadsheet or a name "#". Julia
-# says the size of an array above it.
+# says the size of an array above it, and GROMACS has lines for a plot.
 _COMMENT = re.compile(
     r"\s*(#(?!N/A|NA\b|NV\b|DIV/0|VALUE|REF!|NUM!|NAME\?|NULL!|WERT|ZAHL|BEZUG|\d)|%|//"
-    r"|\d+\u00d7\d+ .*:\s*$)"
+    r"|@(?!\d)|\d+\u00d7\d+ .*:\s*$)"
 )
 _REMARKS = re.compile(r"(comment|remark|note|bemerkung|kommentar|remarque)s?", re.IGNORECASE)
 _MARK = re.compile(r"^\s*(#|%|//)+\s*")
@@ -97,6 +98,8 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
             return found
     if (array := _load_array(path, head)) is not None:
         return array
+    if without_box(head.decode(_encoding(head), errors="replace")) is not None:
+        return _load_text(path, _Head.boxed(path, head), decimal)
     try:
         return _load_text(path, _Head(path.name, head, cut, _encoding(head)), decimal)
     except UnicodeDecodeError:
@@ -112,6 +115,8 @@ def read_header(path: Path) -> tuple[str, ...]:
     head, cut = _read_head(path)
     if printed := _first_of_monitor(path, head) or _load_array(path, head):
         return printed.names
+    if without_box(head.decode(_encoding(head), errors="replace")) is not None:
+        return tuple(_Head.boxed(path, head).layout.names)
     return tuple(_Head(path.name, head, cut, _encoding(head)).layout.names)
 
 
@@ -221,7 +226,22 @@ def _read_head(path: Path) -> tuple[bytes, bool]:
 
 
 class _Head:
-    """What the first lines of a text show: the delimiter, and where the table is."""
+    """What the first lines of a text show: the delimiter, and where the table is.
+
+    ``whole`` is the text where it is not as in the file.
+    """
+
+    whole: str | None = None
+
+    @classmethod
+    def boxed(cls, path: Path, head: bytes) -> _Head:
+        """Look at a table without the lines around its cells."""
+        check_size(path, _unpacked_size(path))
+        with _opener(path)(path, "rt", encoding=_encoding(head), errors="replace") as file:
+            whole = (without_box(file.read()) or "") + "\n"
+        found = cls(path.name, whole.encode(), False, "utf-8")
+        found.whole = whole
+        return found
 
     def __init__(self, label: str, head: bytes, cut: bool, encoding: str) -> None:
         # Not splitlines(), for which a form feed or U+0085 ends a line too.
@@ -360,7 +380,8 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
         names,
         columns,
         path.name,
-        units=layout.units,
+        # Row names have no unit.
+        units=[*[""] * (len(names) == len(layout.units) + 1), *layout.units],
         notes=notes,
         decimal=decimal,
         delimiter=head.delimiter,
@@ -468,7 +489,11 @@ def _parse_file(path: Path, head: _Head, **options: Any) -> tuple[Any, tuple[str
 
     @contextmanager
     def open_there() -> Iterator[Any]:
-        with _opener(path)(path, "rt", encoding=head.encoding) as file:
+        with (
+            _opener(path)(path, "rt", encoding=head.encoding)
+            if head.whole is None
+            else io.StringIO(head.whole)
+        ) as file:
             # pandas itself would join lines that it skips where a comment holds a quotation mark.
             for _ in range(head.layout.first):
                 file.readline()
