@@ -237,6 +237,19 @@ def test_exact_rows_far_apart_are_no_noise():
 
 
 @pytest.mark.slow
+def test_of_formulas_as_near_to_rough_slopes_the_states_choose_one():
+    """A switch with a constant inflow, of which the rows hardly see the bend: the law, not
+    1.082 - 2 exp(-4.8 x), which follows the rows to a millionth.
+    """
+    t = np.linspace(0, 24, 100)
+    run = solve(lambda _, s: -0.44 * s + np.tanh(2.4 * s) + 0.082, [0.83], t, ("x",))
+    rows = np.sort(np.random.default_rng(3).permutation(np.arange(2, 100))[:50])
+    found = dynsr.discover(Trajectory(t[rows], run.x[rows], ("x",)), jobs=1)
+    assert found.verdict.level == "law"
+    assert sympy.simplify(found.equations["x"] - parse("0.082 - 0.44*x + tanh(2.4*x)")) == 0
+
+
+@pytest.mark.slow
 def test_sums_of_products_are_confirmed_between_distant_exact_rows():
     """Eight rows a turn, most of which is a jump that none of them sees: the law at the first look,
     though curves through such rows tell nothing of the fast state.

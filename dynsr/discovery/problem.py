@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -39,10 +40,13 @@ from dynsr.fit import (
     ParetoFront,
     ProfileSettings,
     approach,
+    bits_of_misses,
     confirm,
     description_length,
     fit_along,
+    is_nearly_confirmed,
     is_noisy,
+    leaves_nothing,
     loosen_all,
     match_trajectories,
     noise_of,
@@ -579,13 +583,36 @@ class Problem:
         if not confirms or not all(found.candidates for found in looked):
             return {}
         near = {f.target: _as_near(f.candidates)[: 1 if f.final else None] for f in looked}
-        for exprs in families(near, self.form.complete(tuple(near))):
-            whole = {s: self.known.get(s, sympy.S.Zero) + e for s, e in exprs.items()}
-            found = self._confirmed(self._with_known(whole))
-            if found is not None:
-                return {s: found[s] - self.known.get(s, sympy.S.Zero) for s in exprs}
+        systems = families(near, self.form.complete(tuple(near)))
+        tried = (self._tried(self._beside_known(exprs)) for exprs in systems)
+        every = list(islice((match for match in tried if match is not None), 1))
+        if not every or not leaves_nothing(every[0]):
+            # What follows a law closely may be confirmed too; the law itself misses far less.
+            others = (self._tried(own) for own in self._nearly(near))
+            every += [match for match in others if match is not None]
+        if every:
+            structure = structure_in(self.columns)
+            best = min(every, key=lambda match: bits_of_misses(match) + structure(match.exprs))
+            self.confirmed.append(best)
+            return {s: best.exprs[s] - self.known.get(s, sympy.S.Zero) for s in near}
         found = self._confirm_polynomials({s: pool[0] for s, pool in near.items()})
         return {s: found[s] for s in near} if found else {}
+
+    def _nearly(self, near: Mapping[str, Sequence[sympy.Expr]]) -> Iterator[dict[str, sympy.Expr]]:
+        """Exchange one equation for others as near to the slopes, where the states nearly agree.
+
+        Rough slopes do not distinguish these.
+        """
+        first = {s: exprs[0] for s, exprs in near.items()}
+        whole, fit = self._beside_known(first), self.settings.selection.fit
+        if not self._in_time(lambda: is_nearly_confirmed(whole, self.runs, self.inputs, fit)):
+            return
+        for state, (_, *others) in near.items():
+            yield from (self._beside_known({**first, state: other}) for other in others)
+
+    def _beside_known(self, exprs: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
+        """Add what the user knows of each equation, and equations that nobody searches."""
+        return self._with_known({s: self.known.get(s, sympy.S.Zero) + e for s, e in exprs.items()})
 
     def _confirm_polynomials(
         self, exprs: Mapping[str, sympy.Expr]
@@ -624,9 +651,15 @@ class Problem:
         fit = self.settings.selection.fit
         return confirm(whole, self.runs, self.inputs, fit, structure_in(self.columns))
 
-    def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
+    def _tried(self, whole: Mapping[str, sympy.Expr]) -> Match | None:
+        """Give a system that the states leave no doubt of, if the user allows it."""
         found = self._in_time(lambda: self._confirm(whole))
-        if found is None or not all(self.is_allowed(s, e) for s, e in found.exprs.items()):
+        allowed = found and all(self.is_allowed(s, e) for s, e in found.exprs.items())
+        return found if allowed else None
+
+    def _confirmed(self, whole: Mapping[str, sympy.Expr]) -> Mapping[str, sympy.Expr] | None:
+        found = self._tried(whole)
+        if found is None:
             return None
         self.confirmed.append(found)
         return found.exprs

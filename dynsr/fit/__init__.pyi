@@ -37,7 +37,15 @@ from .description import (
     structure_bits,
     written_constant,
 )
-from .exact import approach, confirm, simplest_form, without_rounding
+from .exact import (
+    approach,
+    bits_of_misses,
+    confirm,
+    is_nearly_confirmed,
+    leaves_nothing,
+    simplest_form,
+    without_rounding,
+)
 from .flow import Flow, Pace, Windows, cut_windows, runge_kutta_step
 from .forced import missing_terms
 from .linear import (
@@ -151,6 +159,7 @@ __all__ = [
     "StochasticSystem",
     "Windows",
     "approach",
+    "bits_of_misses",
     "build_shooting",
     "cauchy_bits",
     "cauchy_scale",
@@ -180,7 +189,9 @@ __all__ = [
     "independent_rows",
     "interval_reach",
     "invert_normal",
+    "is_nearly_confirmed",
     "is_noisy",
+    "leaves_nothing",
     "linearly_independent",
     "loosen",
     "loosen_all",

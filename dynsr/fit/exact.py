@@ -97,6 +97,52 @@ def confirm(
         return None
 
 
+def is_nearly_confirmed(
+    exprs: Mapping[str, sympy.Expr],
+    runs: Sequence[Trajectory],
+    inputs: Mapping[str, sympy.Expr],
+    settings: FitSettings = FIT,
+) -> bool:
+    """Whether fitted equations miss the states by little more than those that leave no doubt.
+
+    Parameters
+    ----------
+    exprs, runs, inputs, settings : as :func:`confirm` takes them.
+
+    >>> t = np.linspace(0, 4, 81)
+    >>> x = sympy.Symbol("x")
+    >>> decay = Trajectory(t, np.exp(-0.5 * t)[:, None], ("x",))
+    >>> [is_nearly_confirmed({"x": e}, [decay], {}) for e in (-0.4 * x, -0.4 * x**2)]
+    [True, False]
+    """
+    try:
+        with np.errstate(all="ignore"):
+            match = match_trajectories(exprs, runs, inputs=inputs, settings=_roughly(settings))
+            return _size(match) <= _NEARLY * settings.confirmed * _way(runs, list(exprs))
+    except (InputError, ArithmeticError, np.linalg.LinAlgError):
+        return False
+
+
+def leaves_nothing(match: Match) -> bool:
+    """Whether what equations miss of the states may be the error of the integration alone.
+
+    Parameters
+    ----------
+    match : the fit.
+    """
+    return _size(match) <= _ENOUGH
+
+
+def bits_of_misses(match: Match) -> float:
+    """Give the bits of what equations miss, to the error of the integration.
+
+    Parameters
+    ----------
+    match : the fit.
+    """
+    return len(match.misses) * math.log2(max(_size(match), _ENOUGH))
+
+
 def approach(
     exprs: Mapping[str, sympy.Expr],
     runs: Sequence[Trajectory],
