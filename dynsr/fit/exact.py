@@ -103,7 +103,7 @@ def is_nearly_confirmed(
     inputs: Mapping[str, sympy.Expr],
     settings: FitSettings = FIT,
 ) -> bool:
-    """Whether fitted equations miss the states by little more than those that leave no doubt.
+    """Whether fitted equations follow the states nearly as closely as those beyond doubt.
 
     Parameters
     ----------
