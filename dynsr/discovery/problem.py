@@ -586,7 +586,7 @@ class Problem:
         systems = families(near, self.form.complete(tuple(near)))
         tried = (self._tried(self._beside_known(exprs)) for exprs in systems)
         every = list(islice((match for match in tried if match is not None), 1))
-        if not every or not leaves_nothing(every[0]):
+        if not any(leaves_nothing(m) or _is_written_simply(m.exprs) for m in every):
             # What follows a law closely may be confirmed too; the law itself misses far less.
             others = (self._tried(own) for own in self._nearly(near))
             every += [match for match in others if match is not None]
@@ -856,6 +856,11 @@ def with_velocities(found: Discovery, form: Form) -> Discovery:
             **{s: f" {explain_velocity(s, str(e))}" for s, e in known.items()},
         },
     )
+
+
+def _is_written_simply(exprs: Mapping[str, sympy.Expr]) -> bool:
+    """Whether all constants of exact equations are simple numbers, which no chance makes them."""
+    return not any(expr.has(sympy.Float) for expr in exprs.values())
 
 
 def _as_near(candidates: Sequence[Candidate]) -> list[sympy.Expr]:
