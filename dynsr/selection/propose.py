@@ -110,8 +110,7 @@ EXACT = ProposalSettings(
 )
 # Functions of several constants end at the law from few of their starts.
 RARE = ProposalSettings(
-    free=True,
-    starts=3,
+    starts=9,
     steps=25,
     tries=((1.0, 1e-9), (0.5, 1e-9), (1.0, 1.0)),
     library=LibrarySettings(rare=True),
@@ -257,7 +256,9 @@ class Proposer:
         """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
-            before, tried = list[_Layer](), list[np.ndarray]()
+            before: list[_Layer] = []
+            # With constants that stay a sum may end elsewhere when it is reached again.
+            tried: list[np.ndarray] | None = [] if self.settings.free else None
             tiers = list(self._tiers())
             for left, tier in zip(reversed(range(len(tiers))), tiers, strict=True):
                 before = self._grow_from_nothing(tier, before, tried, found)
@@ -298,7 +299,7 @@ class Proposer:
         self,
         tier: np.ndarray,
         before: Sequence[_Layer],
-        tried: list[np.ndarray],
+        tried: list[np.ndarray] | None,
         found: dict[tuple[int, ...], Sum],
     ) -> list[_Layer]:
         """Grow sums by one form at a time until two more gain less than a bit, or none can.
@@ -308,7 +309,7 @@ class Proposer:
         Parameters
         ----------
         tier, before : the forms, and the best sums of fewer forms of each length.
-        tried : marks of the sums that were fitted, which fills up.
+        tried : marks of the sums that were fitted, which fill up; None where they are fitted again.
         found : the sums found, which fill up.
         """
         layer, least, idle, layers = self._nothing, math.inf, 0, list(before)
