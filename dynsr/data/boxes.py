@@ -15,24 +15,34 @@ _TYPE = re.compile(
 )
 
 
-def without_box(text: str) -> str | None:
-    """Give a table without the lines around its cells; None where it has none.
+def is_boxed(text: str) -> bool:
+    """Whether a table has lines around its cells.
 
     Parameters
     ----------
     text : the whole table, or its head.
+
+    >>> is_boxed("+---+---+"), is_boxed("t,x")
+    (True, False)
+    """
+    return bool(_BARS.search(text) or _ASCII.search(text))
+
+
+def without_box(text: str) -> str:
+    """Give a table without the lines around its cells.
+
+    Parameters
+    ----------
+    text : the whole table.
 
     >>> lines = ["+---+---+", "| t | x |", "+===+===+", "| 0 | 2 |", "+---+---+"]
     >>> print(without_box(chr(10).join(lines)))
     | t | x |
     | 0 | 2 |
     """
-    boxed = _BARS.search(text) is not None
-    if not boxed and not _ASCII.search(text):
-        return None
     lines = [line for line in text.splitlines() if line.strip()]
     kept = [line for line in lines if not (_RULE.fullmatch(line) or _SIZE.fullmatch(line))]
-    if boxed:
+    if _BARS.search(text):
         kept = [_BARS.sub(" ", line).strip() for line in kept]
         kept = [line for line in kept if not all(map(_TYPE.fullmatch, line.split()))]
     return "\n".join(kept)

@@ -25,7 +25,7 @@ import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
-from dynsr.data.boxes import without_box
+from dynsr.data.boxes import is_boxed, without_box
 from dynsr.data.brackets import may_be_bracketed, read_brackets
 from dynsr.data.layout import (
     NUMBER,
@@ -98,10 +98,8 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
             return found
     if (array := _load_array(path, head)) is not None:
         return array
-    if without_box(head.decode(_encoding(head), errors="replace")) is not None:
-        return _load_text(path, _Head.boxed(path, head), decimal)
     try:
-        return _load_text(path, _Head(path.name, head, cut, _encoding(head)), decimal)
+        return _load_text(path, _Head.of(path, head, cut), decimal)
     except UnicodeDecodeError:
         # A few letters of a header are all that tells the encoding of a table of numbers, too few
         # for charset-normalizer: it reads a Latin-1 "é" as Arabic and "µm" as Big5.
@@ -115,9 +113,7 @@ def read_header(path: Path) -> tuple[str, ...]:
     head, cut = _read_head(path)
     if printed := _first_of_monitor(path, head) or _load_array(path, head):
         return printed.names
-    if without_box(head.decode(_encoding(head), errors="replace")) is not None:
-        return tuple(_Head.boxed(path, head).layout.names)
-    return tuple(_Head(path.name, head, cut, _encoding(head)).layout.names)
+    return tuple(_Head.of(path, head, cut).layout.names)
 
 
 def _first_of_monitor(path: Path, head: bytes) -> Columns | None:
@@ -234,11 +230,14 @@ class _Head:
     whole: str | None = None
 
     @classmethod
-    def boxed(cls, path: Path, head: bytes) -> _Head:
-        """Look at a table without the lines around its cells."""
+    def of(cls, path: Path, head: bytes, cut: bool) -> _Head:
+        """Look at a file by its head; of a table in a box, at all of it without the box."""
+        encoding = _encoding(head)
+        if not is_boxed(head.decode(encoding, errors="replace")):
+            return cls(path.name, head, cut, encoding)
         check_size(path, _unpacked_size(path))
-        with _opener(path)(path, "rt", encoding=_encoding(head), errors="replace") as file:
-            whole = (without_box(file.read()) or "") + "\n"
+        with _opener(path)(path, "rt", encoding=encoding, errors="replace") as file:
+            whole = without_box(file.read()) + "\n"
         found = cls(path.name, whole.encode(), False, "utf-8")
         found.whole = whole
         return found
