@@ -31,14 +31,20 @@ X = np.column_stack([np.exp(-0.5 * T), np.exp(-0.5 * T) * (1 + T)])
 
 @dataclass(frozen=True)
 class Dying(AbstractMethod):
-    """A method whose process is killed the first times, as where the memory is short."""
+    """A method whose process is killed the first times, as where the memory is short.
+
+    With ``after`` it waits until another has been killed twice.
+    """
 
     marks: Path
     times: int
     name: str = "dying"
+    after: Path | None = None
 
     def search(self, samples, rng, report=None):
         """Kill the process until there are enough marks, then search quickly."""
+        while self.after is not None and len(list(self.after.iterdir())) < 2:
+            time.sleep(0.05)
         number = len(list(self.marks.iterdir()))
         if number < self.times:
             (self.marks / f"{number}-{os.getpid()}").touch()
@@ -47,12 +53,14 @@ class Dying(AbstractMethod):
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_is_started_again_and_named_if_it_always_dies(tmp_path):
+@pytest.mark.parametrize("late", [False, True])
+def test_a_worker_that_dies_is_started_again_and_named_if_it_always_dies(tmp_path, late):
     """One that dies once is not spoken of; one that always does is named, and others answer."""
     marks = [tmp_path / name for name in ("once", "always")]
     for path in marks:
         path.mkdir()
-    dying = [Dying(marks[0], 1, "dying once"), Dying(marks[1], 99, "always dying")]
+    once = Dying(marks[0], 1, "dying once", marks[1] if late else None)
+    dying = [once, Dying(marks[1], 99, "always dying")]
     found = discover((T, X), method=[QUICK, *dying], jobs=2, targets="x")
     assert str(found.equations["x"]) == "-0.5*x"
     said = found.explanation["x"]

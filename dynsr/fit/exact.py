@@ -199,10 +199,11 @@ def _size(match: Match) -> float:
 
 
 def _way(runs: Sequence[Trajectory], states: Sequence[str]) -> float:
-    """How far the state that goes least goes in ten intervals, by its spread."""
+    """How far the state that goes least goes in ten intervals, or as many as there are."""
     columns = [runs[0].index(state) for state in states]
     spread = np.std(np.concatenate([run.x[:, columns] for run in runs]), axis=0)
-    way = np.concatenate([r.x[INTERVALS:, columns] - r.x[:-INTERVALS, columns] for r in runs])
+    rows = min(INTERVALS, max(len(run.t) for run in runs) - 1)
+    way = np.concatenate([run.x[rows:, columns] - run.x[:-rows, columns] for run in runs])
     moving = spread > 0
     if not moving.any():
         return 0.0

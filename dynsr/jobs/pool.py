@@ -125,7 +125,7 @@ def run_tasks(
 
     A worker that dies takes others with it: then what is unfinished is started again. If one dies
     again, they run one at a time, which shows whose fault it was. Raises DynsrError for a task
-    whose process dies alone, unless it has a record for that.
+    whose process dies alone twice, unless it has a record for that.
     """
     records: dict[int, Any] = {}
 
@@ -152,12 +152,14 @@ def run_tasks(
     for again in (False, True):
         with suppress(BrokenProcessPool):
             take(look(), jobs, apart or again)
+    # Twice, as one may have been taken by others before it began.
+    for number in 2 * look():
+        if number in look():
+            with suppress(BrokenProcessPool):
+                take([number], 1, True)
     for number in look():
-        with suppress(BrokenProcessPool):
-            take([number], 1, True)
-        if number not in records:
-            records[number] = _give_up(tasks[number], folder)
-            watch(tasks[number].name, tasks[number].title, records[number])
+        records[number] = _give_up(tasks[number], folder)
+        watch(tasks[number].name, tasks[number].title, records[number])
     return [records[number] for number in range(len(tasks))]
 
 
