@@ -57,6 +57,7 @@ def test_nothing_answers_without_the_token(page):
     assert page.ask("nothing")[0] == 404
 
 
+@pytest.mark.slow
 def test_two_pages_have_two_tokens(page):
     """A token is of chance: another page has another one, and does not know the first's."""
     other = Page()
@@ -272,6 +273,7 @@ def test_columns_are_guessed_and_corrected(page):
     assert parts["table"]["error"] == both
 
 
+@pytest.mark.slow
 def test_how_an_input_goes_on_between_rows_is_chosen(page):
     """The page shows what an input does between rows, and takes another choice."""
     text = "t,x,u\n" + "\n".join(f"{k},{k**1.5:.4f},{k // 4 % 2}" for k in range(24))
@@ -284,6 +286,7 @@ def test_how_an_input_goes_on_between_rows_is_chosen(page):
     assert "u (linear)" in table["guess"]
 
 
+@pytest.mark.slow
 def test_a_column_of_doses_is_chosen(page):
     """A column of amounts is given to a state, and the search follows no jump."""
     x = [8 * 0.8 ** (k % 12) for k in range(36)]
@@ -299,6 +302,7 @@ def test_a_column_of_doses_is_chosen(page):
     assert table["columns"][2]["way"] == "x/V" and table["error"] == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("head", "rows", "roles", "states", "runs"),
     [
@@ -397,6 +401,7 @@ def test_what_no_page_sends_is_refused(page, wish, body):
     assert "load the page again" in json.loads(answer)["error"] or "numbers" in str(answer)
 
 
+@pytest.mark.slow
 def test_a_search_answers_while_it_runs_and_can_be_cancelled(page):
     """While a search runs the page answers at once; cancelled, it shows what it has or says so."""
     rng = np.random.default_rng(0)
@@ -791,6 +796,7 @@ def test_second_order_and_maps_have_pictures_too(tmp_path):
     assert parts["picture"]["svg"] != before
 
 
+@pytest.mark.slow
 def test_constants_that_diverge_are_told(tmp_path):
     """Where the moved equations have no solution over the data, the page says when it ends."""
     t = np.arange(0, 4, 0.1)

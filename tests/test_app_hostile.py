@@ -177,6 +177,7 @@ def end_upload(line, rest):
         return int(line.recv(65536).split(b" ", 2)[1])
 
 
+@pytest.mark.slow
 def test_a_slow_file_is_not_lost_to_a_quick_one(page):
     """Each file that comes in has a place of its own: the one that ends last is read last."""
     slow = begin_upload(page, OTHER, "slow.csv")
@@ -280,6 +281,7 @@ def test_folders_of_the_killed_go_at_the_next_start(tmp_path, monkeypatch):
     ]
 
 
+@pytest.mark.slow
 def test_the_folder_goes_before_the_work_is_stopped(tmp_path, monkeypatch):
     """Where the page was killed its data are removed first: the worker may end at once then."""
     folder, seen = tmp_path / "dynsr-app-x", []

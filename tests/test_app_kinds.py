@@ -337,6 +337,7 @@ def limited():
     }
 
 
+@pytest.mark.slow
 def test_errors_in_a_column_keep_their_role(desk, asked):
     """A column called so is the ratios of errors until the reader says that they are absolute."""
     desk.look(limited())
@@ -378,6 +379,7 @@ def test_only_a_column_that_is_a_state_has_fields_for_errors(desk):
     assert "no column left for a state" in desk.change(roles=nothing)["error"]
 
 
+@pytest.mark.slow
 def test_cells_below_a_limit_count_as_such(desk, asked):
     """Cells such as <0.1 count as they are; those such as BDL as soon as the limit is typed."""
     desk.look(limited())
@@ -400,6 +402,7 @@ def test_cells_beyond_a_limit_are_shown_as_such(desk):
     assert desk.column("y")["cells"][:3] == ["<0.5", ">99", "1"]
 
 
+@pytest.mark.slow
 def test_a_column_may_be_a_sum_of_states(desk, asked):
     """A sum that is typed gives the state that has no column; a blank or wrong one is refused."""
     desk.look(limited())

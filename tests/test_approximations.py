@@ -46,6 +46,7 @@ def test_a_sum_of_terms_follows_what_is_no_sum_of_terms():
     assert all(other.r2 <= best.r2 + 0.005 for other in found)
 
 
+@pytest.mark.slow
 def test_no_unit_matters_to_followers():
     """Data in units a thousand times smaller have the same terms and the same R2."""
     one, other = (
@@ -60,6 +61,7 @@ def test_no_unit_matters_to_followers():
     assert shapes[0] == shapes[1]
 
 
+@pytest.mark.slow
 def test_followers_keep_to_what_is_asked_and_to_what_is_known():
     """Without functions none has a sine; a velocity that is known stays as it is."""
     t = np.linspace(0, 12, 200)

@@ -17,6 +17,7 @@ def rows():
     return audit(unrounded=lambda engine: {})
 
 
+@pytest.mark.slow
 def test_all_but_two_printed_losses_are_reproduced(rows):
     """31 of 33 agree to every printed digit; the two that cannot have rounded coefficients."""
     assert len(rows) == 33
@@ -72,6 +73,7 @@ def test_unrounded_models_stand_beside_the_rows_that_miss():
     assert parse(text, find_system("pendulum").states) == models(None)["pendulum"]
 
 
+@pytest.mark.slow
 def test_the_papers_own_recipe_gives_the_digits_it_rounded_away():
     """SINDy on the paper's data, scored the same way: the pendulum's printed loss to every digit,
     and 0.240 +- 0.001 for Lotka-Volterra (printed 0.239), where the printed digits give 0.673.

@@ -39,6 +39,7 @@ def timeless(rows):
     return [replace(row, seconds=0.0) for row in rows]
 
 
+@pytest.mark.slow
 def test_each_file_has_its_own_law(tmp_path):
     """Three decays of three rates are three laws, in the order of the files; a bad file is said."""
     files = write(tmp_path, RATES)
@@ -58,6 +59,7 @@ def test_each_file_has_its_own_law(tmp_path):
     assert len(list((tmp_path / "out" / "each").glob("*/discovery.json"))) == 3
 
 
+@pytest.mark.slow
 def test_the_same_call_does_what_is_left(tmp_path):
     """Files that were searched are read back; new, changed and failed ones are searched."""
     files = write(tmp_path, RATES)
@@ -82,6 +84,7 @@ def test_wrong_calls_are_said_in_one_line(tmp_path):
         discover_each(files, tmp_path / "out", jobs=1, seed=1, **QUICK)
 
 
+@pytest.mark.slow
 def test_files_of_one_name_have_folders_of_their_own(tmp_path):
     """Two folders with a run.csv each are two discoveries."""
     files = []

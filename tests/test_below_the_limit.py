@@ -170,6 +170,7 @@ def test_censored_cells_take_the_bias_away():
     assert max(held["out"], held["half"], held["at it"]) <= 0.75
 
 
+@pytest.mark.slow
 def test_clean_and_almost_clean_decays_have_their_rate():
     """With noise of 1 % and less the rate is right, and censored cells do no harm."""
     assert fit(decay(1e-4)).constants[0] == pytest.approx(-0.7, abs=5e-4)
@@ -490,6 +491,7 @@ def test_a_table_that_is_written_says_its_limits(tmp_path):
     assert note.startswith("'x' is beyond a limit in 18 of 61 rows")
 
 
+@pytest.mark.slow
 def test_a_fit_with_a_delay_takes_censored_cells():
     """The cost is the same by either way, its slope is right, and the delay is the true one."""
     step, rows = 0.01, 4000

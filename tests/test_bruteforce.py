@@ -33,6 +33,7 @@ def skeleton(expr: sympy.Expr) -> sympy.Expr:
     return expr.xreplace({a: sympy.Integer(1) for a in expr.atoms(sympy.Float)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "formula",
     [
@@ -111,6 +112,7 @@ def test_no_function_is_tested_twice():
     assert result.covered == 11
 
 
+@pytest.mark.slow
 def test_two_searches_agree_to_the_last_digit():
     """The same samples and settings give the same candidates, counts and order."""
     samples = planted("sin(x) + cos(y)*exp(x)/y", "xy")
@@ -139,6 +141,7 @@ def test_torch_gives_what_numpy_gives():
     assert forms[0] == forms[1]
 
 
+@pytest.mark.slow
 def test_memory_bound_is_kept():
     """Once the bound is met nothing more is stored, but the search goes on to its other bounds."""
     samples = planted("cos(x)*sin(y) + x*exp(-y*y)/(x+log(1+y))", "xy")
@@ -186,6 +189,7 @@ def test_stage_gives_candidates_scored_on_its_samples():
         assert candidate.loss == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_a_stage_writes_formulas_out_at_its_end_alone(monkeypatch):
     """What the reports of a stage do not show is not written out for them."""
     written = []
@@ -244,6 +248,7 @@ def test_ratios_and_beam_find_what_no_single_function_is(formula):
     assert search_values(samples.X, samples.y, samples.names, alone).stopped != "exact"
 
 
+@pytest.mark.slow
 def test_an_exact_formula_is_chosen_though_its_errors_have_one_sign():
     """Rounding errors of one sign do not make thousands of exact rows count as two."""
     samples = planted("0.3989422804*exp(-0.5*(x/y)^2)/y", "xy")

@@ -79,6 +79,7 @@ def test_a_budget_holds_in_any_thread(monkeypatch):
     assert "the time budget ended" in found[0].verdict.reason
 
 
+@pytest.mark.slow
 def test_an_answer_in_no_time_has_an_end_itself(monkeypatch):
     """Where polynomials of degree 2 of many states take too long, those of degree 1 are given."""
     fit = tasks.fit_polynomials
@@ -102,6 +103,7 @@ def test_a_hidden_state_that_is_not_found_in_time_leaves_the_equations_without_i
     assert "hidden" in found.settings["ended_by_budget"]
 
 
+@pytest.mark.slow
 def test_delays_that_were_not_searched_in_time_are_not_taken_for_none(monkeypatch):
     """Equations without a delay say that nobody looked for one."""
     monkeypatch.setattr(delays.Delayed, "candidates", endless)
@@ -129,6 +131,7 @@ def test_an_end_lies_within_that_of_what_it_is_a_step_of():
     assert done == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_thread", [False, True])
 def test_an_end_that_is_not_heeded_comes_again(in_thread):
     """Who answers an end may finish what he has, but not go on for ever."""

@@ -90,6 +90,7 @@ def test_every_command_speaks_json(name):
     assert any("--json" in parameter.opts for parameter in COMMAND.commands[name].params)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["--help", "discover --help", "systems", "systems lorenz"])
 def test_looking_around_is_quick(words):
     """Help and the list of systems load none of the libraries that search, plot or read tables."""
@@ -445,6 +446,7 @@ def test_doctor_fails_on_what_is_needed(monkeypatch):
     assert "mend it" in run("doctor", code=1).stdout
 
 
+@pytest.mark.slow
 def test_crosscheck(monkeypatch):
     """A crosscheck gives a verdict a row, and exit code 2 when one differs."""
     import dynsr.checks

@@ -88,6 +88,7 @@ def test_several_runs_share_their_constants():
     assert found.errors[0] == pytest.approx(errors[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_coupled_system_is_fitted_as_shooting_does():
     """Four constants of Lotka-Volterra are those of least squares over integrated solutions."""
     rng = np.random.default_rng(3)
@@ -409,6 +410,7 @@ def test_measurements_follow_a_system():
     np.testing.assert_allclose(data.smoothed[0].x[:, 0], np.cos(t))
 
 
+@pytest.mark.slow
 def test_many_short_runs_are_kept():
     """Of 4 runs of eight rows all are kept, though they have more rows in all than asked for."""
     t = np.linspace(0, 1, 8)
@@ -417,6 +419,7 @@ def test_many_short_runs_are_kept():
     assert [len(run) for run in data.runs] == [8] * 4
 
 
+@pytest.mark.slow
 def test_rows_far_apart_have_others_between_them():
     """Of eight rows an oscillation the time between two is cut into three, or into four where the
     rows are exact; of forty it is not.

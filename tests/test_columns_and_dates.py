@@ -107,6 +107,7 @@ def test_whole_numbers_that_alone_keep_the_times_in_order_name_the_trajectories(
     assert "3 trajectories named by 'house'" in table.guess
 
 
+@pytest.mark.slow
 def test_a_parameter_stands_in_the_equation():
     """The rate of a decay that a column holds, another in each run, is found as that column."""
     t = np.arange(0, 3, 0.05)
@@ -338,6 +339,7 @@ def test_every_option_takes_the_names_of_the_table():
         assert asked == ({"Bath_temp": 1, "all": 2}, ["Bath_temp", "x"])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:columns were renamed")
 def test_a_search_takes_the_names_of_the_table():
     """Targets, known parts, signs, slopes and sums name columns as the table does."""
@@ -358,6 +360,7 @@ def test_a_search_takes_the_names_of_the_table():
     assert sympy.simplify(found.equations["a_cell"] + sympy.Symbol("a_cell")) == 0
 
 
+@pytest.mark.slow
 def test_an_input_may_be_a_function_or_values():
     """A callable of one time or of all, and an array, are inputs as a column is."""
     x = np.exp(-T) + np.sin(T)

@@ -65,6 +65,7 @@ def test_a_constant_state_has_no_velocity(method):
     assert found.verdict.level == "law"
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_the_states_that_change(hunted):
     """A column without a change says nothing of the noise, and its terms can be explored."""
     plain = Measurements.of([Trajectory(*hunted, ("a", "b"))], {}, 100)

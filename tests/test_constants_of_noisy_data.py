@@ -48,6 +48,7 @@ def coefficients(expr):
     return {str(rest): float(value) for value, rest in pairs}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_wrong_simple_numbers_give_way_to_what_the_data_say(hunters, seed):
     """From -5/6 and 0.9, every constant comes within two standard errors of its fitted value.
@@ -66,6 +67,7 @@ def test_wrong_simple_numbers_give_way_to_what_the_data_say(hunters, seed):
             assert abs(fitted - exact) < 4 * error < 0.01
 
 
+@pytest.mark.slow
 def test_every_constant_stands_beside_its_fitted_value_and_error(hunters):
     """Values, errors and fitted values run in the order of the formula with all factors free."""
     rough = {"prey": parse("1.3*prey - 0.8*pred*prey"), "pred": parse("0.9*pred*prey - 2.6*pred")}
@@ -92,6 +94,7 @@ def test_intervals_hold_the_truth(growing):
     assert 0.88 <= np.mean(held) <= 0.99
 
 
+@pytest.mark.slow
 def test_rows_whose_noise_is_large_count_less(monkeypatch):
     """Where noise grows with the state, weights make the constants surer than equal rows do."""
     t = np.linspace(0, 6, 80)
@@ -149,6 +152,7 @@ def test_without_snapping_constants_stay_as_fitted(hunters):
         assert all(abs(v - round(v, 3)) > 1e-7 for v, _ in pairs)
 
 
+@pytest.mark.slow
 def test_the_switch_reaches_the_whole_discovery():
     """With ``snap=False`` clean decay of 0.5 keeps the digits of its fit; by default it is 0.5."""
     t = np.linspace(0, 3, 301)

@@ -49,6 +49,7 @@ class _Skewed(EmbeddedEngine):
         return SparseSolution(skewed, solution.iterations, solution.converged)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("section", "system"), [("records", "cart-pole"), ("pysindy", "pendulum")])
 def test_a_wrong_engine_is_found_out(section: str, system: str):
     """An error of 1e-4 in one coefficient turns the verdict of every row."""
@@ -99,6 +100,7 @@ def test_a_difference_at_the_limit_agrees_and_one_above_does_not():
     ]
 
 
+@pytest.mark.slow
 def test_who_finds_the_law_of_the_cart_pole_is_told_right_or_wrong():
     """From exact slopes both threshold methods have its five terms; from differences, neither."""
     rows = crosscheck(["cart-pole", "pendulum"], ["embedded"], ["implicit"])
@@ -123,6 +125,7 @@ def test_who_finds_the_law_of_the_cart_pole_is_told_right_or_wrong():
             assert row.worst.startswith("5 ") == (scheme == "exact slopes")
 
 
+@pytest.mark.slow
 def test_the_law_is_a_relation_of_the_functions_given():
     """Written by hand, it has no miss over either span; a changed coefficient has one."""
     count = len(implicit.FUNCTIONS)

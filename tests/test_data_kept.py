@@ -213,6 +213,7 @@ def test_what_discover_is_asked_is_checked(asked, said):
 CELLS = st.floats(-1e300, 1e300, allow_nan=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     rows=st.lists(st.tuples(CELLS, CELLS), min_size=12, max_size=30),

@@ -115,6 +115,7 @@ def test_a_summary_that_is_none_is_refused(found, tmp_path, change, words):
         Discovery.load(tmp_path / "odd.json")
 
 
+@pytest.mark.slow
 def test_saving_never_fails_for_what_cannot_be_known(found, tmp_path):
     """Equations that leave the finite numbers are saved without a covariance."""
     wild = replace(found, equations={"prey": parse("exp(prey^9)"), "hunters": parse("hunters^9")})

@@ -100,6 +100,7 @@ def _solution(system, held, delay):
     return np.concatenate(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["previous", "linear", "smooth"])
 @pytest.mark.parametrize("state_too", [False, True])
 def test_the_derivatives_of_the_defects_are_those_of_small_differences(hold, state_too):
@@ -249,6 +250,7 @@ def test_simulation_follows_the_data_with_the_input_that_was_before(held):
         assert own.x[:, 0] == pytest.approx(truth, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_simulation_with_a_new_input_needs_its_past():
     """An expression has one, data may have one, and what has none is refused in one line."""
     t = np.linspace(0, 10, 101)
@@ -276,6 +278,7 @@ def test_simulation_with_a_new_input_needs_its_past():
     assert np.all(np.abs(own.x[later < 41.6, 0] - last) < 1.5) and own.x[-1, 0] > last + 1
 
 
+@pytest.mark.slow
 def test_a_delayed_input_is_kept_exported_and_scored_as_what_it_is(tmp_path):
     """In the record and the report; formats without delays take it as an input."""
     run = PIPE.run(True)

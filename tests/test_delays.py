@@ -165,6 +165,7 @@ def test_the_derivatives_of_the_defects_are_those_of_small_differences():
         assert own == pytest.approx(slope, rel=1e-3, abs=1e-5 * np.abs(own).max())
 
 
+@pytest.mark.slow
 def test_history_that_the_law_could_explain_takes_more_bits():
     """The law on a quarter of the rows less, which are history then, is the worse explanation."""
     delayed = Delayed.of([as_run(hutchinson(0.01))], DelaySettings())
@@ -250,6 +251,7 @@ def test_terms_that_make_up_for_the_error_of_a_delay_are_dropped():
     assert set(best.equations["x"].as_coefficients_dict()) == {X, X * BEFORE}
 
 
+@pytest.mark.slow
 def test_a_delay_that_takes_far_more_bits_than_one_that_explains_all_is_not_searched(monkeypatch):
     """Another delay is searched too where it takes as many bits, or where neither explains all."""
     monkeypatch.setattr(Delayed, "explained", lambda *_: 1.0)
@@ -391,6 +393,7 @@ def study(monkeypatch, clock, seconds):
     return given, search_delayed(search, [run], asked, [1.0, 2.0, 4.0])
 
 
+@pytest.mark.slow
 def test_each_search_of_a_delay_has_its_part_of_the_time_that_is_left(monkeypatch, clock):
     """Three delays share what is left, and each may be searched with twice."""
     given, found = study(monkeypatch, clock, 2.0)

@@ -74,6 +74,7 @@ def test_noisy_data_are_smoothed(share, limit):
     assert kept < 0.6 * share * clean[:, 1].std()
 
 
+@pytest.mark.slow
 def test_the_choice_is_near_the_best_scheme():
     """The chosen scheme errs at most 1.3 times as much as the best one in hindsight."""
     noisy, _, slopes = lotka_volterra(GRID, 0.02, 4)
@@ -88,6 +89,7 @@ def test_the_choice_is_near_the_best_scheme():
     assert error(chosen) < 1.3 * min(error(name) for name in names)
 
 
+@pytest.mark.slow
 def test_uneven_times_work():
     """Random sampling times give slopes within 3 % from 1 % noise."""
     t = np.sort(np.random.default_rng(5).uniform(0, 10, 900))

@@ -123,6 +123,7 @@ def test_a_state_that_comes_back_while_its_input_rests_looks_second_order(noise)
     assert diagnose(follow(lambda x, u: [(u - x[0]) / 1.5], 1), "v") == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["pendulum", "damped pendulum", "Van der Pol", "Lotka-Volterra", "SIR"]
 )

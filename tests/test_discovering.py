@@ -426,6 +426,7 @@ def kept(tmp_path_factory):
     return data, folder / "discovery.json"
 
 
+@pytest.mark.slow
 def test_score_of_a_saved_discovery(kept):
     """A saved discovery is scored on other data; its folder stands for it."""
     data, saved = kept

@@ -47,6 +47,7 @@ def found(decay, folder):
     return discover(decay, method=QUICK, jobs=1, out=folder)
 
 
+@pytest.mark.slow
 def test_every_state_gets_its_equation_with_round_constants(found):
     """x' = -x/2 and y' = x - y/2 are found exactly, with constants as they were meant."""
     assert found.equations == {"x": parse("-0.5*x"), "y": parse("x - 0.5*y")}
@@ -121,12 +122,14 @@ def test_lorenz_with_noise_is_found_within_two_percent():
             assert float(coefficients[term]) == pytest.approx(value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_known_part_is_left_to_the_user(decay):
     """With x given as part of y', only -y/2 is searched, and the sum is reported."""
     result = discover(decay, method=QUICK, targets="y", known={"y": "x"}, jobs=1)
     assert result.equations["y"] == parse("x - 0.5*y")
 
 
+@pytest.mark.slow
 def test_several_trajectories_with_their_own_times_are_taken():
     """Trajectories of different length and sampling are one discovery."""
     runs = [(t, np.exp(-0.5 * t)[:, None]) for t in (np.linspace(0, 3, 200), np.linspace(1, 3, 90))]
@@ -178,6 +181,7 @@ def test_too_few_rows_are_refused():
         discover((np.arange(3.0), np.ones((3, 1))), jobs=1)
 
 
+@pytest.mark.slow
 def test_finished_tasks_are_not_done_again(decay, found, folder):
     """A second run in the same folder reads every record and gives the same discovery."""
     before = {p: p.stat().st_mtime_ns for p in (folder / "records").iterdir()}
@@ -186,6 +190,7 @@ def test_finished_tasks_are_not_done_again(decay, found, folder):
     assert {**again.as_record(), "seconds": 0} == {**found.as_record(), "seconds": 0}
 
 
+@pytest.mark.slow
 def test_a_damaged_record_is_done_again(decay, found, folder, tmp_path):
     """A record that is cut short counts as unfinished."""
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)

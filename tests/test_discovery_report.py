@@ -75,6 +75,7 @@ def page(found):
     return render_discovery(found)
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone(page):
     """Nothing is loaded from elsewhere: every source is inside the page."""
     reader = Reader()
@@ -117,6 +118,7 @@ def test_a_reason_is_open_unless_it_is_at_the_top(found, level):
     assert ("these intervals mean little" in page) is (level == "not found")
 
 
+@pytest.mark.slow
 def test_the_page_of_a_map_speaks_of_next_values():
     """No slope and no derivative is on it: formulas, pictures and headings are of x[n+1]."""
     n = np.arange(40.0)

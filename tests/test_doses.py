@@ -290,6 +290,7 @@ def test_each_quantity_of_nonmem_is_a_state(which):
     assert any("24 rows had other columns filled" in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("empty", ["", "0"])
 def test_a_result_reads_further_tables_with_their_doses(tmp_path, empty):
     """Score and export take the same columns for doses as the search did."""
@@ -373,6 +374,7 @@ def test_a_table_of_doses_may_name_states_and_count_in_another_unit(tmp_path):
     assert merged["amount_b"].tolist() == [0, 0, 0, 7] + [0] * 7
 
 
+@pytest.mark.slow
 def test_a_volume_before_is_used_where_rows_are_below_their_dose(tmp_path):
     """Of measurements written below a dose of their time, the doses are known nonetheless."""
     lines = ["ID,TIME,AMT,DV,EVID"]
@@ -493,6 +495,7 @@ def test_a_batch_takes_a_table_of_doses(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_column_of_doses_may_have_another_name_in_further_data(tmp_path):
     """--dose says the column without a table of doses, also for score."""
     path = write_doses(tmp_path / "doses.csv", "0")

@@ -156,6 +156,7 @@ def test_runs_from_other_starts_tell():
     assert "x' = t + 1" in found.reason
 
 
+@pytest.mark.slow
 def test_clean_slopes_that_drift_are_told_whatever_was_found():
     """A cooling body whose surroundings grow warmer evenly is told beside a wrong equation."""
     data = integrate(lambda t, x: -0.3 * (x - 20 - 0.8 * t), [80.0], 20, 150)
@@ -262,6 +263,7 @@ def test_a_decay_that_hangs_on_the_time_is_told_beside_a_strange_function():
     assert "t*x; a run from another start decides" in found.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("slope", "start", "end", "law", "noise"),

@@ -232,6 +232,7 @@ def test_what_a_first_look_ends_is_no_regression_of_any_engine():
     assert "confirmed" not in found.settings
 
 
+@pytest.mark.slow
 def test_what_has_no_solution_is_confirmed_as_such(julia, monkeypatch):
     """An engine that gives up leaves no distance, Ctrl-C nothing at all; the equations stay."""
 
@@ -291,6 +292,7 @@ def measured() -> Trajectory:
     return Trajectory(T, x.x, ("x",), force[:, None], ("u",))
 
 
+@pytest.mark.slow
 def test_measured_inputs_cross_the_seam(julia):
     """Predictions, simulations, scores and the discovery itself ask the engine with its drives."""
     found = discover(
@@ -307,6 +309,7 @@ def test_measured_inputs_cross_the_seam(julia):
     assert found.simulate().origin["engine"] == told
 
 
+@pytest.mark.slow
 def test_an_engine_that_takes_no_measured_inputs_gives_way_and_that_is_said(julia, monkeypatch):
     """The embedded one integrates; origin and record name it, and nothing is confirmed."""
     monkeypatch.setattr(julia, "takes_drives", False)

@@ -109,6 +109,7 @@ def test_the_engine_regresses_simulates_and_scores(julia):
     assert len(julia.regressed) == searched
 
 
+@pytest.mark.slow
 def test_the_report_draws_what_the_engine_integrated(julia, tmp_path):
     """The curve and the score of the report come from the discovery's engine."""
     found = discover(decay(), engine="julia", **SINDY)
@@ -126,6 +127,7 @@ def test_the_embedded_engine_is_asked_for_nothing_else(julia):
     assert not julia.regressed and not julia.integrated
 
 
+@pytest.mark.slow
 def test_a_discovery_in_the_shell_regresses_on_the_engine(julia, table, tmp_path):
     """dynsr discover --engine julia --method sindy; its saved result keeps the engine."""
     words = ("discover", table, "--engine", "julia", "--method", "sindy", "--functions", "")
@@ -177,6 +179,7 @@ def test_the_name_travels_to_worker_processes(tmp_path):
     assert len(regressing) == 1 and regressing == integrating
 
 
+@pytest.mark.slow
 def test_an_engine_of_ones_own_is_used():
     """An engine may be handed over; it regresses and integrates, and its name is recorded."""
     engine = RecordingEngine("mine")

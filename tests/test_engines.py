@@ -186,6 +186,7 @@ def test_a_vanishing_threshold_is_least_squares(engine: AbstractEngine, release)
     assert np.abs(engine.regress(problem).coefficients - exact).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_planted_rational_equation_is_found(engine: AbstractEngine):
     """The corrected implicit search finds dx = 2 x / (1 + x) among 1 and x."""
     x = np.linspace(0.1, 2.0, 200)

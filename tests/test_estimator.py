@@ -15,6 +15,7 @@ from dynsr.methods.rational import RationalSearch
 SMALL = RationalSearch(costs=(2,), max_terms=3, denominators=False, rounds=1, width=20)
 
 
+@pytest.mark.slow
 @parametrize_with_checks([DynsrRegressor(method=SMALL)])
 def test_scikit_learns_own_checks_pass(estimator, check):
     """Every check that scikit-learn runs on its own estimators passes."""

@@ -267,6 +267,7 @@ def test_roadrunner_integrates(result):
     assert same(runner.simulate(T[0], T[-1], len(T), ["x", "y"]), runs)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_petab_problem_gives_every_run(result):
     """Each condition of the problem, simulated, gives the measurements of its run."""
@@ -339,6 +340,7 @@ def test_a_delay_is_said_or_refused(late):
             make(Source.of(late))
 
 
+@pytest.mark.slow
 def test_python_follows_a_delay(late):
     """Run as a script, the file goes by the method of steps, as dynsr does."""
     code = late.export("python").replace("[1.0]", "[0.8]").replace("10.0", "4.0")

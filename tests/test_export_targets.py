@@ -49,6 +49,7 @@ MASS_ACTION = ("lotka-volterra", "sir", "names")
 CALM = [name for name in NAMES if name not in ("lorenz", "rossler", "names", "functions")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_python_is_the_equations(name):
     """Slopes are dynsr's, and the Jacobian that of differences."""
@@ -65,6 +66,7 @@ def test_python_is_the_equations(name):
         assert np.allclose(space["jacobian"](t, state), near, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_example_in_python_integrates():
     """Run as a script, the file prints the last state of the trajectory."""
     name = "lotka-volterra"
@@ -89,6 +91,7 @@ def test_torch_is_the_equations(name):
     assert all(p.grad is not None for p in own)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_jax_is_the_equations(name):
     """The function for diffrax gives dynsr's slopes."""
@@ -335,6 +338,7 @@ def test_a_petab_problem_is_whole(noisy, tmp_path):
     assert set(problem.x_ids) == {"k1", "k2", "k3", "noise_x", "noise_y"}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_petab_problem_of_data_with_empty_cells_is_whole(noisy, tmp_path):
     """Where a state begins that the first row lacks is to be estimated; an empty cell is no

@@ -68,6 +68,7 @@ def test_sums_contain_only_what_is_allowed(names, found):
     assert bool(near) == found
 
 
+@pytest.mark.slow
 def test_nothing_allowed_is_no_fault():
     """With no function allowed only sums of products are given."""
     law = "0.9*n - 0.4*n*p*exp(-0.8*n)"

@@ -171,6 +171,7 @@ def test_what_sympy_draws_together_is_not_lost_in_rounding():
     assert found == pytest.approx(0.5 - math.acos(math.cos(1e18)), rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(FORMULAS)
 def test_a_formula_means_what_arithmetic_says_or_is_refused(text):
@@ -195,6 +196,7 @@ def test_a_formula_means_what_arithmetic_says_or_is_refused(text):
         np.testing.assert_allclose(again, found, rtol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(
     st.text(

@@ -243,6 +243,7 @@ def test_options_that_do_not_go_with_a_free_function_are_refused(option):
         discover(runs, known=HUNT, jobs=1, **option)
 
 
+@pytest.mark.slow
 def test_a_function_of_a_column_that_does_not_change_is_refused():
     """Fewer than three values of a column show no function."""
     still = hunt(rows=40)

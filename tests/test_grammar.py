@@ -87,6 +87,7 @@ def scalar_decode(bits, grammar):
         return None
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 1), min_size=40, max_size=40))
 @settings(max_examples=200, deadline=None, database=None)
 def test_decoding_a_population_equals_recursive_descent(bits):
@@ -100,6 +101,7 @@ def test_decoding_a_population_equals_recursive_descent(bits):
             assert FULL.text(tokens) == expected
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 1), min_size=60, max_size=60))
 @settings(max_examples=100, deadline=None, database=None)
 def test_encoding_a_word_and_decoding_it_gives_the_word(bits):

@@ -133,6 +133,7 @@ def test_no_step_of_an_engine_sees_a_jump() -> None:
     assert found.accepted + found.rejected < 30
 
 
+@pytest.mark.slow
 def test_stiff_parts_go_on_by_the_implicit_method() -> None:
     """A fast system between jumps comes to rest at each level."""
     t = np.linspace(0.0, 4.0, 5)

@@ -92,6 +92,7 @@ def holds(found, state, term, truth):
     return own.low <= truth <= own.high
 
 
+@pytest.mark.slow
 def test_many_rows_with_a_hidden_state_are_said_to_take_long():
     """All of them are fitted at once, and how many would do is said before the search."""
     t = np.linspace(0, 20, 6000)
@@ -100,6 +101,7 @@ def test_many_rows_with_a_hidden_state_are_said_to_take_long():
         discover(run, hidden="y", time_budget=0.5, jobs=1)
 
 
+@pytest.mark.slow
 def test_the_law_is_the_same_however_a_hidden_state_is_written():
     """h + p(x) in the place of h changes both equations, and x'' not: 20 random shifts."""
     rng = np.random.default_rng(3)
@@ -138,6 +140,7 @@ def test_what_an_unmeasured_state_misses_of_its_equation_takes_bits():
     assert residual_bits(np.array([1.0, np.inf]), rows) == np.inf
 
 
+@pytest.mark.slow
 def test_small_defects_of_a_hidden_state_are_no_way_to_follow_noise():
     """The law misses noise alone, as its own solution does; what follows the data by small defects
     of a state that nothing measures misses far more, and no more than its own solution.
@@ -188,6 +191,7 @@ def test_a_turned_sign_is_the_same_law():
     assert sympy.expand(law_of(turned, other)["y"] - law_of(exprs, coupling)["y"]) == 0
 
 
+@pytest.mark.slow
 def test_a_hidden_state_adds_nothing_to_the_measurements():
     """Its curve has no weight, its noise no size, and the other state is as it was."""
     data = Measurements.of([pendulum(0.01)], {}, 2000)

@@ -44,6 +44,7 @@ def test_the_network_learns_the_missing_term(model, lacking):
     assert rmse(samples.y, missing) < 0.1 * np.std(missing)
 
 
+@pytest.mark.slow
 def test_it_says_how_much_the_network_carries(model):
     """The complete equation leaves nothing to carry, the incomplete one much."""
     assert model.shares["q"] < 0.001

@@ -104,6 +104,7 @@ def test_far_below_saturation_data_know_a_quotient_alone():
     assert "k1/k2" in str(known) and "hardly bound k1 and k2" in str(known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_what_is_known_is_said_to_be(noise):
     """Predator and prey in noise: every parameter is known, to about its noise."""

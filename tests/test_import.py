@@ -227,6 +227,7 @@ def test_a_problem_that_cannot_be_read_is_told(problem, file, change, words):
         read_petab(path)
 
 
+@pytest.mark.slow
 def test_known_equations_are_as_if_found(tmp_path):
     """They are scored, saved, reported, and a search starts from them."""
     t = np.linspace(0, 3, 151)
@@ -238,6 +239,7 @@ def test_known_equations_are_as_if_found(tmp_path):
     assert str(found.equations["x"]) == "-0.5*x"
 
 
+@pytest.mark.slow
 def test_the_command_reads_models(tmp_path, problem):
     """Equations and parameters are shown; a folder takes them, and the data of a problem."""
     model = written(tmp_path, MODEL)

@@ -54,6 +54,7 @@ def has_formula(step):
     return any(running.best for running in step.running)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_ctrl_c_gives_the_best_so_far(decay, tmp_path, jobs):
     """Interrupted in endless searches, discover gives what ended and what they have so far."""
@@ -103,6 +104,7 @@ def test_ctrl_c_while_equations_are_judged_gives_them_unjudged(decay, monkeypatc
     assert not found.verdict.tested and found.heading.endswith("No verdict.")
 
 
+@pytest.mark.slow
 def test_a_search_that_was_cut_short_has_no_verdict(decay, monkeypatch):
     """Who ends a search waits for no verdict on what it had."""
 
@@ -115,6 +117,7 @@ def test_a_search_that_was_cut_short_has_no_verdict(decay, monkeypatch):
     assert ctrl_c.sent and not found.verdict.tested and "best so far" in found.explanation["y"]
 
 
+@pytest.mark.slow
 def test_searches_in_threads_stop_too(decay):
     """Searches in threads, which cannot be killed, end at their next report."""
     ctrl_c = Interrupt(lambda step: sum(bool(r.best) for r in step.running) == 2)
@@ -189,6 +192,7 @@ def test_an_interrupted_search_is_searched_again(decay, tmp_path):
     assert {**again.as_record(), "seconds": 0} == {**whole.as_record(), "seconds": 0}
 
 
+@pytest.mark.slow
 def test_a_folder_belongs_to_one_discovery(decay, tmp_path):
     """Other data, settings or targets are refused in a line that names the first difference."""
     t, x = decay

@@ -94,6 +94,7 @@ def test_what_others_lose_is_left_to_them() -> None:
     assert again == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_after_the_command_ends_it_without_a_word() -> None:
     """Python waits for threads of workers when all is done; who does not wait sees no traceback."""
     code = (

@@ -296,6 +296,7 @@ def test_a_process_asks_the_julia_of_the_one_that_started_it(engine, guest):
     assert guest.integrate(decay()).success and process_of(guest) == process_of(engine) != one
 
 
+@pytest.mark.slow
 def test_a_guest_that_gives_up_ends_what_it_asked_for(engine, guest, monkeypatch):
     """Julia is not held by a call that nobody waits for: the next one answers at once."""
     assert guest.integrate(decay()).success
@@ -317,6 +318,7 @@ def test_why_julia_does_not_start_reaches_a_guest(engine, guest, monkeypatch):
         guest.integrate(decay())
 
 
+@pytest.mark.slow
 def test_without_a_host_a_process_starts_its_own(fake_julia, monkeypatch):
     """Where the variable names another process, or one that is gone, nothing is shared."""
     engine = JuliaEngine(start_seconds=60.0)

@@ -90,6 +90,7 @@ def folder(tmp_path_factory):
     return place / "out"
 
 
+@pytest.mark.slow
 def test_a_folder_that_moved_is_enough(folder, tmp_path):
     """Profiles, exports with data, suggestions, scores and pictures need no other file."""
     moved = tmp_path / "moved"

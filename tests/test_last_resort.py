@@ -74,6 +74,7 @@ def test_what_was_not_found_gives_way_to_what_follows(prey, followed):
         assert len(changed.errors[state]) == len(expr.atoms(type(parse("0.5"))))
 
 
+@pytest.mark.slow
 def test_a_law_stays(prey):
     """The law itself is not given up for a longer sum."""
     law = {"x": parse("x*(1 - x/4) - x*y/(1 + x)"), "y": parse("x*y/(1 + x) - 0.5*y")}

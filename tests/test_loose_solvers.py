@@ -94,6 +94,7 @@ def test_the_weight_of_defects_is_the_likeliest():
     assert Collocation({"x": parse("-2*x/5")}, still, settings).fit().weight == STRICT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extra", ["q^3", "q*v^2"])
 def test_errors_of_a_solver_are_no_terms(extra):
     """The true equation takes fewer bits than with a term for what the solver left behind.

@@ -66,6 +66,7 @@ def test_the_map_of_henon_is_found(noise):
         }
 
 
+@pytest.mark.slow
 def test_a_map_is_simulated_by_iteration_and_exported_as_a_step(tmp_path):
     """simulate, to_python, to_numpy and LaTeX give the next state; the file says so."""
     data = logistic(50)

@@ -132,6 +132,7 @@ def test_the_papers_sindy_runs_on_data_of_ones_own():
     assert all(np.isfinite(c.loss) for c in front)
 
 
+@pytest.mark.slow
 def test_a_choice_loads_only_what_it_chose():
     """To name the methods loads no numbers; to make a GA loads neither torch nor SINDy."""
     code = (
@@ -149,6 +150,7 @@ def as_published():
     return dynsr.discover({"t": t, "x": 2 * np.exp(-0.5 * t)}, preset="paper", jobs=1)
 
 
+@pytest.mark.slow
 def test_the_preset_of_the_paper_works_on_data_of_ones_own(as_published):
     """With the default method it runs the paper's three, on forward differences, and finds decay.
 
@@ -160,6 +162,7 @@ def test_the_preset_of_the_paper_works_on_data_of_ones_own(as_published):
     assert str(as_published.equations["x"]) == "-0.5*x"
 
 
+@pytest.mark.slow
 def test_several_methods_by_commas(tmp_path):
     """What a report prints as its command is understood: --method takes names by commas."""
     path = tmp_path / "x.csv"

@@ -146,6 +146,7 @@ def test_slopes_are_those_of_own_rows():
     assert np.allclose(samples.y, np.cos(samples.t), atol=2e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("junk", [0.0, 1e3, -7.0])
 def test_what_stands_in_an_empty_cell_counts_nothing(junk):
     """Fit, errors and verdict are the same whatever a cell that was not measured holds."""
@@ -179,6 +180,7 @@ def test_a_law_is_judged_by_what_was_measured(share):
         assert abs(verdict.states[state].chi_square - 1) < 4 * np.sqrt(2 / told.sum())
 
 
+@pytest.mark.slow
 def test_windows_of_exact_data_are_fitted_to_what_was_measured():
     """Constants of clean data come to many digits though a third of the cells are empty."""
     runs = carry([cycle(0.0, share=0.3)])
@@ -244,6 +246,7 @@ def test_intervals_hold_the_truth_over_draws(share, every):
     assert low <= held <= high
 
 
+@pytest.mark.slow
 def test_a_start_that_was_not_measured_is_fitted():
     """The first rows of one state and the last of the other are empty: nothing stands there."""
     x = TRUE + np.random.default_rng(4).normal(0, 0.01, TRUE.shape) * TRUE.std(axis=0)
@@ -287,6 +290,7 @@ def test_exports_begin_where_the_equations_begin(tmp_path):
     assert values == pytest.approx([own[1] for own in starts], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_runs_too_short_to_be_fitted_begin_on_their_curves():
     """Of eight runs with four rows each, the first cell of the predator is empty."""
     runs = []

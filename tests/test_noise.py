@@ -85,6 +85,7 @@ def test_draws_are_kept_and_taken_from_their_records(tmp_path):
     assert [r.recovery.found for r in resumed] == [r.recovery.found for r in first[:2]]
 
 
+@pytest.mark.slow
 def test_a_folder_holds_the_draws_of_one_method(tmp_path):
     """Another method does not mix its records with those that are there."""
     run_noise([DECAY], [0.0], [0], method=Truth(), out=tmp_path)

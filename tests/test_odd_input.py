@@ -56,6 +56,7 @@ def test_eight_rows_give_an_answer_and_never_a_fault():
     assert "failed" not in found.explanation["a"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [8, 21])
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_fewer_rows_than_terms_give_formulas(rows):
@@ -83,6 +84,7 @@ def test_a_method_that_fails_is_a_note_and_not_the_end():
     assert "failing, which failed (ArithmeticError: the ground gave way)" in found.explanation["x"]
 
 
+@pytest.mark.slow
 def test_a_failure_is_tried_again_and_a_good_end_is_kept(tmp_path):
     """The record of a failed search is no result: the same call searches again."""
     for _ in range(2):
@@ -116,6 +118,7 @@ class Poor(AbstractMethod):
         return ParetoFront([score_candidate(parse("exp(-x)"), samples, self.name)])
 
 
+@pytest.mark.slow
 def test_a_choice_made_without_a_failed_method_is_made_again_once_it_succeeds(tmp_path):
     """What the method finds the second time competes; the choice of the first does not stay."""
     methods = [Poor(), FailingOnce(tmp_path / "mark")]

@@ -136,6 +136,7 @@ def test_a_result_is_saved_before_it_is_shown(data, tmp_path, monkeypatch):
     assert seen == [True] and (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_saved_is_shown(data, tmp_path, monkeypatch, capsys):
     """Where the file cannot be written the equations are on the screen, and the error comes."""
 

@@ -88,6 +88,7 @@ def test_what_is_dear_gives_way_to_what_does_as_well() -> None:
     assert found.settings["complexity"] == {"sin": 500.0}
 
 
+@pytest.mark.slow
 def test_the_estimator_counts_them() -> None:
     """sin x with noise is found as such, and as a polynomial where sines are dear."""
     x = np.linspace(-1.5, 1.5, 80)

@@ -148,6 +148,7 @@ def test_what_is_no_loss_is_one_line(given: object, said: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_functions_of_one_name_are_told_apart(tmp_path: Path) -> None:
     """A folder goes on with its own loss, and not with another of the same name."""
     t = np.linspace(0, 4, 90)

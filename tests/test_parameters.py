@@ -144,6 +144,7 @@ def test_an_unknown_parameter_is_a_key_error_with_the_names():
         made(PREY).parameters["nope"]
 
 
+@pytest.mark.slow
 def test_units_follow_from_those_of_the_columns():
     """A half-saturation has the unit of its column, a rate the state's over the time's."""
     pytest.importorskip("pint", reason="pint is not installed")

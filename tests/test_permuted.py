@@ -98,6 +98,7 @@ def test_superfluous_terms_leave_twins_together():
     }
 
 
+@pytest.mark.slow
 def test_a_term_of_no_size_makes_no_twin():
     """A growth that the data say is 0 would make a twin of another equation, and is not kept."""
     true = {"x": "0.9*y - 0.5*x", "y": "-0.8*x"}

@@ -78,6 +78,7 @@ def test_a_phase_portrait_sets_one_state_against_another():
     assert len(plots.draw_phase_portrait(TRUE, None, "a", "b").axes[0].lines) == 2
 
 
+@pytest.mark.slow
 def test_a_legend_is_as_long_as_its_words_ask_for():
     """Long names take more lines below the picture; none of it leaves the picture."""
     long = "substrate_concentration"
@@ -131,6 +132,7 @@ def test_recovery_over_noise():
     assert len(axis.lines) == 2 and len(axis.collections) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "head"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
 )

@@ -135,12 +135,14 @@ def test_errors_at_given_constants_are_those_of_a_fit(exact):
             assert error == pytest.approx(want, rel=0.1)
 
 
+@pytest.mark.slow
 def test_simple_constants_that_the_data_allow_are_kept(exact):
     """The picked simple numbers stay, whatever decimals fit the noise a little better."""
     match = polish({s: rational(e) for s, e in TRUE.items()}, [with_noise(exact, 1)], {}, {}, {})
     assert match.exprs == {s: parse(e) for s, e in TRUE.items()}
 
 
+@pytest.mark.slow
 def test_simple_constants_that_the_data_reject_are_given_up(exact):
     """A simple number that is three percent off gives way, and the true one is found."""
     wrong = {"x": rational("1.55*x - x*y"), "y": rational("x*y - 3*y")}

@@ -34,6 +34,7 @@ def test_a_polynomial_of_degree_four_is_exact():
     assert fit_full(far, 4).loss < 1e-7
 
 
+@pytest.mark.slow
 def test_the_sparse_fit_has_the_terms_of_the_law_alone():
     """Backward elimination passes through the three terms that made the data, with noise."""
     samples = _planted(noise=0.05)

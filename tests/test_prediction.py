@@ -22,6 +22,7 @@ T = np.linspace(0.0, 10.0, 101)
 SINE = np.sin(T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("equations", "start"),
     [
@@ -50,6 +51,7 @@ def few_steps(monkeypatch):
     monkeypatch.setattr("dynsr.engines.simulation.InitialValueProblem", problem)
 
 
+@pytest.mark.slow
 def test_a_stiff_system_says_that_it_was_integrated_implicitly(few_steps):
     """Beside its name the engine that answered is named, for both kinds of input."""
     stiff = {"x": parse("-1e6*(x - u)")}

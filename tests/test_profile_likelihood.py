@@ -61,6 +61,7 @@ def holds(own, value):
     return low <= value <= high
 
 
+@pytest.mark.slow
 def test_a_profile_is_what_solving_and_fitting_again_give():
     """Each value held, scipy's solver and least squares rise by the same, away from a parabola."""
     found = enzyme(0.05, start=1.0)
@@ -120,6 +121,7 @@ def test_equations_that_do_not_follow_the_data_have_no_profiles():
         found.profile(("x", 0))
 
 
+@pytest.mark.slow
 def test_exact_data_bound_a_constant_closely():
     """Without noise the interval holds the truth and is narrower than a thousandth of it."""
     t, x = solved(lambda _, s: SPEED * s / (HALF + s), [0.5], 8.0, 60)
@@ -128,6 +130,7 @@ def test_exact_data_bound_a_constant_closely():
         assert own.low <= truth <= own.high
 
 
+@pytest.mark.slow
 def test_the_error_of_the_rule_is_counted_in_exact_data():
     """Of an oscillator in closed form, at 61 rows: each interval is narrow and has the truth."""
     t, rate = np.linspace(0, 12, 61), np.sqrt(2 - 0.05**2)
@@ -150,6 +153,7 @@ def test_what_data_do_not_bound_is_open_on_that_side():
     assert half.values[-1] > 100 * abs(half.value) and half.criterion[-1] < half.limit
 
 
+@pytest.mark.slow
 def test_a_wrong_interval_gives_way_to_the_profile():
     """Where the chi-square is no parabola, constants have the interval of their profile."""
     found = enzyme(0.05).with_profiles()
@@ -206,6 +210,7 @@ def test_a_profile_that_finds_a_better_fit_begins_again():
     assert [wrong.low, wrong.high] == pytest.approx([right.low, right.high], rel=0.01)
 
 
+@pytest.mark.slow
 def test_numbers_of_any_size_are_profiled():
     """The same data in units a billion times smaller have the same interval in those units."""
     small = enzyme(0.05)
@@ -216,6 +221,7 @@ def test_numbers_of_any_size_are_profiled():
         assert other.high / 1e9 == pytest.approx(own.high, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_driven_system_is_profiled():
     """An input that was measured drives the joint fit at every value that is held."""
     t, x = solved(lambda s, y: -0.8 * y + np.sin(s), [1.0], 12.0, 120)
@@ -260,6 +266,7 @@ def test_what_has_no_profile_says_why():
         found_in(t, t[:, None], x="log(x)").profiles()
 
 
+@pytest.mark.slow
 def test_the_shell_shows_profiles(tmp_path):
     """The command prints a row a constant, and as JSON the curve as well."""
     found = enzyme(0.1)

@@ -53,6 +53,7 @@ def expressions():
     ).filter(lambda e: not e.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, sympy.AccumBounds))
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.lists(expressions(), min_size=1, max_size=3))
 def test_programs_agree_with_lambdify(exprs):
@@ -71,6 +72,7 @@ def test_programs_agree_with_lambdify(exprs):
     assert np.array_equal(np.isfinite(found)[posed], np.isfinite(expected)[posed])
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(expressions())
 def test_slopes_agree_with_sympy(expr):
@@ -165,6 +167,7 @@ def test_arguments_stay_as_they_are():
     np.testing.assert_array_equal(x, [1, 2])
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.lists(expressions(), min_size=1, max_size=3), st.tuples(*[st.integers(-3, 3)] * 3))
 def test_a_point_has_the_very_values_of_arrays(exprs, whole):

@@ -51,6 +51,7 @@ def records():
     return [*by_julia, compute_cell(Cell(PENDULUM, "sindy", 1), Plan(0, "quick", "embedded"))]
 
 
+@pytest.mark.slow
 def test_a_cell_by_another_engine_has_what_the_embedded_one_makes_of_it(records):
     """Its samples are off as that engine is; its own losses and SINDy's formula stand beside."""
     sindy, ga, plain = records
@@ -103,6 +104,7 @@ def test_each_number_names_its_engine_and_versions(records):
     assert recorded[0]["Made by"] == "embedded: Tsit5 on the steps of 2021"
 
 
+@pytest.mark.slow
 def test_the_page_shows_both_tables(records):
     """The page of a replication in Julia holds both; that of an embedded one only the second."""
     settings = {"seed": 0, "engine": "embedded", "quick": True, "recorded_steps": False}

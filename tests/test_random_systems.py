@@ -27,6 +27,7 @@ def test_a_seed_gives_its_systems_again(drawn):
     assert all(system.equations not in others for system in drawn)
 
 
+@pytest.mark.slow
 def test_random_systems_are_of_many_fields_and_sizes(drawn):
     """Forty are of at least six fields and of one to four states, and all of different names."""
     assert len({system.kind for system in drawn}) >= 6
@@ -48,6 +49,7 @@ def test_no_random_system_is_one_of_the_zoo(drawn):
     assert not known & {tuple(system.system.rhs) for system in drawn}
 
 
+@pytest.mark.slow
 def test_random_systems_stay_bounded_and_keep_moving(drawn):
     """By another solver, from both starts: below 30, still moving late, amounts not below 0."""
     for system in drawn:
@@ -65,6 +67,7 @@ def test_a_number_below_one_is_refused():
         draw_systems(0)
 
 
+@pytest.mark.slow
 def test_systems_beyond_the_library_are_drawn_as_well():
     """Each has a mechanism more than its field writes, and is bounded and moves as others do."""
     found = draw_systems(6, seed=3, beyond=True)

@@ -152,6 +152,7 @@ def test_an_equation_is_found_anew_along_the_system():
     assert best.bits <= comparison.fit(floats(LOOP)).bits < wrong.bits - 50
 
 
+@pytest.mark.slow
 def test_what_the_user_forbids_is_not_found_anew():
     """No sum for the message holds a term or a function that its equation may not hold."""
     demands = read_demands(("m", "p"), ("m", "p"), functions=[], constraints=["m: p = 0"])

@@ -42,6 +42,7 @@ def _same(expr: sympy.Expr, law: sympy.Expr, tolerance: float = 1e-3) -> bool:
     return bool(np.all(np.abs(a - b) <= tolerance * (1 + np.abs(b))))
 
 
+@pytest.mark.slow
 def test_a_ratio_is_found_from_a_trajectory():
     """Michaelis-Menten kinetics are recovered as a ratio, with their constants."""
     samples = make_samples(_integrate(MICHAELIS_MENTEN), "x", "central6")
@@ -80,6 +81,7 @@ def _planted(formula: str, names: str, rows: int = 300) -> Samples:
     return Samples(X, y, tuple(names), "y", "given", np.arange(float(rows)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formula", "changes"),
     [("(a*c+b*d)/(a+b)", ()), ("sqrt((a*b+c)/(1+c/d))", ("square",))],

@@ -85,12 +85,14 @@ def test_a_killed_replication_is_continued_to_the_same_result(whole, tmp_path, n
     assert (out / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_records_are_used_again(whole, copied):
     """A second call computes nothing: it gives the records of the first, seconds included."""
     again = replicate(**CELLS, jobs=1, out=copied)
     assert again.records == whole.records
 
 
+@pytest.mark.slow
 def test_damaged_records_are_computed_again(whole, copied):
     """Records that are cut short, altered or misplaced give warnings and the right result."""
     one, two, three, four, five, six = (
@@ -172,6 +174,7 @@ def test_bad_arguments_are_named_before_anything_is_written(tmp_path, arguments,
     assert "\n" not in str(caught.value) and not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_quick_runs_say_so(tmp_path):
     """Quick means two runs with the quick preset, and the record and the report say it."""
     result = replicate(["pendulum"], ["ga"], jobs=1, out=tmp_path, quick=True)

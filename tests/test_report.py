@@ -63,6 +63,7 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
+@pytest.mark.slow
 def test_the_report_needs_nothing_but_itself(records):
     """Pictures are drawn in the page; there is no script, no style sheet and no address outside."""
     text = render_replication(records, SETTINGS)
@@ -75,6 +76,7 @@ def test_the_report_needs_nothing_but_itself(records):
     assert anchors <= set(re.findall(r'id="([^"]+)"', text))
 
 
+@pytest.mark.slow
 def test_the_report_shows_every_formula_and_where_it_comes_from(records):
     """Tables 1 and 2, the appendix in the paper's order, every formula, seed, engine, failures."""
     failed = [*records, replace(records[0], run=9, status="failed", error="a < b & c")]
@@ -90,6 +92,7 @@ def test_the_report_shows_every_formula_and_where_it_comes_from(records):
     assert "2 methods on 3 systems" in words and "8 cells, 7 with a formula" in words
 
 
+@pytest.mark.slow
 def test_the_report_fits_a_phone_and_a_printer(records):
     """The page sets its width by the device, scrolls wide tables, and has rules for print."""
     text = render_replication(records, SETTINGS)
@@ -153,6 +156,7 @@ def test_the_report_says_what_the_replication_is(records, recorded_steps):
     assert ("--recorded-steps" in command) is recorded_steps
 
 
+@pytest.mark.slow
 def test_the_report_names_the_stage_of_each_run_and_what_the_others_came_to(records):
     """The stage stands beside its formula; a stage that did not win has its best fit."""
     found = record("pendulum", "theta1", method="dynaifeynman", source="polynomial", stages=STAGES)

@@ -24,6 +24,7 @@ def record():
     return json.loads(json.dumps(law.as_record()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["sure", "LAW", "", "law ", None, 3, ["law"], {"law": 1}])
 @pytest.mark.parametrize("of", ["system", "state"])
 def test_a_level_that_is_none_is_refused(tmp_path, record, level, of):

@@ -43,6 +43,7 @@ def test_a_decay_is_found_in_any_unit_of_time(second):
     assert 0 < error < 1e-3 / second
 
 
+@pytest.mark.slow
 def test_a_population_of_billions_keeps_its_law_and_its_constants():
     """x' = x - x^2/1e9: equation, errors, front and score are in the units of the data."""
     found = discover((T, 1e9 / (1 + 9 * np.exp(-T))[:, None]), **QUICK)
@@ -117,6 +118,7 @@ def test_profiles_of_tiny_data_are_in_their_units():
         assert one.low == pytest.approx(one.value - 0.1 * abs(one.value))
 
 
+@pytest.mark.slow
 def test_known_parts_inputs_and_slopes_are_counted_in_the_same_units():
     """x' = -2e-9 x + u with x of 1e9 and t of 1e8 s: the known part and the input are mapped."""
     t = T * 1e8
@@ -155,6 +157,7 @@ def test_sizes_beyond_float64_are_refused_in_one_line(t, size, name):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_swing_of_huge_numbers_has_its_law_of_second_order():
     """Its velocity, which no column has, is in the units of the data too."""
     found = discover((T, 1e9 * np.cos(T)[:, None]), **QUICK)

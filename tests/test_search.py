@@ -122,6 +122,7 @@ def test_an_interruption_inside_brute_force_ends_the_search():
     assert any(c.source.startswith("brute force") for c in front)
 
 
+@pytest.mark.slow
 def test_progress_names_the_stages_and_carries_the_front():
     """Reports come stage by stage, and the front on them only gets better."""
     seen: list[Progress] = []

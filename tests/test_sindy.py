@@ -155,6 +155,7 @@ def test_steps_that_do_not_go_forward_are_refused():
         replay_steps(problem, [0.0, 0.5, 0.5])
 
 
+@pytest.mark.slow
 def test_the_formula_of_2021_shows_its_coefficients_and_reads_back():
     """The relation is written as found; parsed again it predicts the same slopes."""
     samples = _paper_samples("lotka-volterra")
@@ -171,6 +172,7 @@ def _exact(system, target: str) -> Samples:
     return make_samples(simulate(system, reltol=1e-9, abstol=1e-10), target, "central6")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("system", "target", "size"),
     [(LORENZ, "y", 3), (PENDULUM, "theta2", 2), (MICHAELIS_MENTEN, "x", 4)],
@@ -189,6 +191,7 @@ def test_best_finds_laws_it_was_not_told(system, target, size):
     assert min(errors) < 1e-4 * np.std(true_values)
 
 
+@pytest.mark.slow
 def test_noise_leaves_the_terms_of_the_law_in_front():
     """With 1 % noise on the slopes, the three-term formula holds the three terms of Lorenz's y."""
     samples = _exact(LORENZ, "y")
@@ -200,6 +203,7 @@ def test_noise_leaves_the_terms_of_the_law_in_front():
     assert {"x", "y", "x*z"} in terms
 
 
+@pytest.mark.slow
 def test_the_same_samples_give_the_same_front():
     """Nothing is left to chance, not even to the generator that is passed in."""
     samples = _exact(PENDULUM, "theta2")
@@ -259,6 +263,7 @@ def test_a_constant_slope_is_found_as_a_constant():
     assert float(front.best_fit.expr) == 2.5
 
 
+@pytest.mark.slow
 def test_a_grown_library_keeps_to_its_limit():
     """However many variables there are, the library stays below the limit and holds them all."""
     names = [f"x{i}" for i in range(9)]

@@ -39,6 +39,7 @@ def measured(t, x, additive, multiplicative, seed):
     return Trajectory(t, x + noise, ("x", "y")[: x.shape[1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [60, 1000])
 @pytest.mark.parametrize(("additive", "multiplicative"), [(0.5, 0.0), (0.0, 0.05), (0.5, 0.1)])
 @pytest.mark.parametrize("outliers", [0.0, 0.03])

@@ -130,6 +130,7 @@ def test_an_optimizer_that_stops_at_its_dense_start_does_not_claim_to_have_conve
     assert solution.iterations == 1 and not solution.converged
 
 
+@pytest.mark.slow
 def test_the_quirk_of_2021_returns_an_empty_search_that_the_corrected_release_solves():
     """Where the first left-hand side is skipped, 2021 finds nothing and its correction does."""
     empty = [r for r in RECORDS if r.problem.release == "2021" and r.iterations is None]

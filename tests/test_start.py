@@ -60,6 +60,7 @@ def test_a_search_goes_on_from_the_folder_that_another_one_left(tmp_path: Path) 
         dynsr.discover(data, jobs=1, start=tmp_path / "empty")
 
 
+@pytest.mark.slow
 def test_a_result_that_cannot_be_saved_is_returned_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +113,7 @@ def test_what_is_no_law_of_the_new_data_is_one_formula_among_others(
     assert found.settings["start"]["equations"] == {"x": "-0.3*x", "y": "0.4*x"}
 
 
+@pytest.mark.slow
 def test_a_part_that_is_given_now_is_taken_off(earlier: dynsr.Discovery) -> None:
     """With 1.5 x known, the start's whole equation is still the law."""
     data = prey(150, 6)
@@ -120,6 +122,7 @@ def test_a_part_that_is_given_now_is_taken_off(earlier: dynsr.Discovery) -> None
     assert found.equations["x"] == 1.5 * X - X * Y
 
 
+@pytest.mark.slow
 def test_a_map_goes_on_as_well() -> None:
     """The logistic map of 40 rows is that of 200."""
 
@@ -138,6 +141,7 @@ def test_a_map_goes_on_as_well() -> None:
         dynsr.discover(rows(200), jobs=1, start=few)
 
 
+@pytest.mark.slow
 def test_data_in_large_units_go_on(earlier: dynsr.Discovery) -> None:
     """Where columns are scaled inside, the start is scaled with them."""
     data = prey(150, 6)
@@ -165,6 +169,7 @@ def test_what_does_not_fit_is_one_line(earlier: dynsr.Discovery, tmp_path: Path)
         dynsr.discover(data, jobs=1, start=tmp_path / "nothing.json")
 
 
+@pytest.mark.slow
 def test_another_start_is_another_discovery(earlier: dynsr.Discovery, tmp_path: Path) -> None:
     """A folder takes up its own start and refuses another."""
     options = {"method": "sindy", "jobs": 1, "out": tmp_path / "out"}

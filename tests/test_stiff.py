@@ -44,6 +44,7 @@ def law(samples):
     return MU * (1 - x**2) * y - x
 
 
+@pytest.mark.slow
 def test_rows_in_unresolved_jumps_have_no_slope(even):
     """The rows kept, most of all, have slopes exact to 1e-6; those beside jumps are left out."""
     samples = choose_samples(even, "y")
@@ -60,6 +61,7 @@ def own():
     return relaxation(tolerance=1e-8)
 
 
+@pytest.mark.slow
 def test_rows_in_resolved_jumps_keep_their_slope(own):
     """Radau's own rows resolve every jump: none is a layer, and the steepest slope is there."""
     samples = choose_samples(own, "y")

@@ -149,6 +149,7 @@ def test_each_term_has_its_own_constant(start):
             assert own in (fit.values[place], pytest.approx(np.exp(fit.values[place])))
 
 
+@pytest.mark.slow
 def test_noise_in_the_motion_is_found(found):
     """Drift, variance and verdict, with intervals that hold the truth."""
     assert bodies(found.equations["x"]) == {X} and found.verdict.level == "law"
@@ -205,6 +206,7 @@ def test_noises_that_go_together_are_correlated():
     assert found.diffusion["x"].correlations["y"] == pytest.approx(0.7, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_walk_without_a_drift_moves_by_chance_alone():
     """Nothing but noise is a drift of 0, and no formula is made of it."""
     walk = np.cumsum(np.random.default_rng(5).standard_normal(2000))
@@ -215,6 +217,7 @@ def test_a_walk_without_a_drift_moves_by_chance_alone():
     assert found.diffusion["x"].terms[0].value == pytest.approx(1.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_noise_with_a_memory_is_no_law():
     """Of one column of two, neighbouring steps are missed by the same, and that is said."""
     t = np.linspace(0, 100, 1001)

@@ -84,6 +84,7 @@ def test_probes_have_the_sensitivity_of_their_term():
     assert np.allclose(slopes[:, :, 0], (more - plain) / 1e-5, atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stride", "pace"),
     [

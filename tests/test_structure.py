@@ -47,6 +47,7 @@ def test_terms_come_right_on_the_states(swings, start):
     assert found.explains(COMPARISON)
 
 
+@pytest.mark.slow
 def test_what_leaves_more_than_noise_explains_nothing(swings):
     """Undamped, the best fit of a pendulum misses by more than the noise."""
     fit = SystemComparison(swings.mesh(("theta1", "theta2"))).fit(

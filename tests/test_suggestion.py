@@ -32,6 +32,7 @@ def near_the_top(noise, start=8.0, seed=0):
     return replace(found, front={"x": dynsr.ParetoFront(front)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 def test_growth_is_told_from_relaxation_far_from_the_top(noise):
     """The start that tells them apart is as far below the capacity as it may lie."""
@@ -93,6 +94,7 @@ def test_without_alternatives_it_is_the_constants_that_are_told():
     assert made.best.bits > made.again.bits
 
 
+@pytest.mark.slow
 def test_where_no_experiment_distinguishes_the_alternatives_that_is_said():
     """Over a moment two formulas do the same; the bits of a table near 0 would say it to nobody."""
     found = near_the_top(0.05)
@@ -103,6 +105,7 @@ def test_where_no_experiment_distinguishes_the_alternatives_that_is_said():
     assert longer.heading.startswith("The bits")
 
 
+@pytest.mark.slow
 def test_no_start_is_negative_where_no_state_was():
     """Counts and amounts start at 0 or more, however far beyond their range starts may lie."""
     made = noisy_rabbits(0.05).suggest(settings=SuggestionSettings(beyond=3.0))
@@ -117,6 +120,7 @@ def test_the_same_seed_suggests_the_same():
     assert found.suggest(seed=3).experiments != found.suggest(seed=4).experiments
 
 
+@pytest.mark.slow
 def test_rows_and_span_are_those_asked_for():
     """A longer experiment of more rows tells more."""
     found = near_the_top(0.05)
@@ -125,6 +129,7 @@ def test_rows_and_span_are_those_asked_for():
     assert long.best.bits > short.best.bits
 
 
+@pytest.mark.slow
 def test_inputs_are_suggested_too():
     """A gain that rest does not show is told by an input that moves the state."""
     t = np.linspace(0, 10, 80)
@@ -151,6 +156,7 @@ def test_inputs_are_suggested_too():
     assert "inputs" in made.columns and "u = 0.1" in str(made)
 
 
+@pytest.mark.slow
 def test_a_suggestion_is_read_and_drawn():
     """It is text, a frame of pandas and a picture with a curve for each system."""
     made = near_the_top(0.05).suggest()
@@ -218,6 +224,7 @@ def test_an_alternative_that_runs_away_is_told_apart():
     assert len(made.alternatives) >= 2 and math.isfinite(made.best.bits)
 
 
+@pytest.mark.slow
 def test_a_first_run_that_an_alternative_cannot_make_again_has_no_row():
     """A longer span makes an alternative explode from the first start, but not from every start."""
     t, x = solved(lambda _, s: s, [1.0], 2.0, 40)

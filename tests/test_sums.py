@@ -88,6 +88,7 @@ def test_an_epidemic_is_found_from_those_who_may_fall_ill_and_a_total(noise):
     assert found.settings["observed"] == {"total": "S + I"}
 
 
+@pytest.mark.slow
 def test_a_sum_may_have_times_of_its_own():
     """The total at each fifth row: nothing is filled in, and I counts where the total does."""
     read = as_run(0.01, every=5)
@@ -99,6 +100,7 @@ def test_a_sum_may_have_times_of_its_own():
     assert sorted(np.abs(fit.constants)) == pytest.approx([0.1, 0.5, 0.5], rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_is_fitted_is_the_sum_itself():
     """Of noise of S alone, the rows of I have as much and the sum has none: its weight shows it."""
     rng = np.random.default_rng(1)

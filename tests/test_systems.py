@@ -116,6 +116,7 @@ def test_the_true_system_explains_its_data(name):
     assert integrate(choice.fit) > 0.97
 
 
+@pytest.mark.slow
 def test_a_wrong_system_does_not_explain():
     """Growth without end instead of prey and predators leaves more than noise."""
     comparison = SystemComparison(measured("Lotka-Volterra").mesh(("x", "y")), SETTINGS)
@@ -256,6 +257,7 @@ def test_an_exponent_near_a_half_becomes_one():
     assert coefficients(pruned)[power] == pytest.approx(-0.38, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_pole_among_the_data_is_no_law():
     """What is divided by 0 where the states are is no system, whatever it does at the rows."""
     as_given = replace(SETTINGS, fit=replace(SETTINGS.fit, steps=0))

@@ -131,6 +131,7 @@ def test_feather_is_read(tmp_path):
         load_columns(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "value"), [("Ts", 0.5), ("dt", 0.5), ("Fs", 2.0)])
 def test_a_number_says_the_step_of_rows_without_times(tmp_path, name, value):
     """As engineers keep signals in MATLAB; next to a time it says nothing new."""
@@ -305,6 +306,7 @@ MATLAB = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", MATLAB)
 def test_matlab_files_are_read(tmp_path, form):
     """Vectors either way round, matrices and structures; what has other sizes is left out."""
@@ -314,6 +316,7 @@ def test_matlab_files_are_read(tmp_path, form):
     check(load_columns(scipy.io.loadmat(tmp_path / "a.mat")))
 
 
+@pytest.mark.slow
 def test_structures_of_the_same_fields_are_runs(tmp_path):
     """Each element is a trajectory; a single value of it is a parameter."""
     kinds = [("t", object), ("x", object), ("rate", object)]
@@ -349,6 +352,7 @@ def write_matlab_73(path, **arrays):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::dynsr.errors.DynsrWarning")
 def test_matlab_files_of_version_7_3_are_read(tmp_path):
     """A column of n values stands there as one row, a matrix turned."""
@@ -357,6 +361,7 @@ def test_matlab_files_of_version_7_3_are_read(tmp_path):
     np.testing.assert_array_equal(found.values[2], B)
 
 
+@pytest.mark.slow
 def test_hdf5_files_are_read(tmp_path):
     """Data sets, a group of them, a compound one, and groups that are runs."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -404,6 +409,7 @@ def dataset(**extra):
     )
 
 
+@pytest.mark.slow
 def test_netcdf_and_xarray_are_read(tmp_path):
     """Variables along the time are columns, with their units; the others are left out."""
     dataset().to_netcdf(tmp_path / "a.nc", engine="h5netcdf")

@@ -520,6 +520,7 @@ def test_words_that_were_read_as_numbers_name_runs():
     assert set(table.names) == {"low, 1", "high, 1", "low, 2", "high, 2"}
 
 
+@pytest.mark.slow
 def test_a_score_takes_the_columns_for_what_the_search_took_them_for(tmp_path):
     """A valve that never moves in the new data, and a state that stays, keep their roles."""
     t = np.arange(60) * 0.1

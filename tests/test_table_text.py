@@ -309,6 +309,7 @@ def test_a_cell_that_cannot_be_read_is_named_once_it_is_needed(tmp_path, row):
 NUMBERS = st.floats(-1e6, 1e6).map(lambda v: round(v, 4)).filter(lambda v: not is_code(v))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_mix_of_dialects_reads_back_the_same_numbers(tmp_path_factory, data):

@@ -374,6 +374,7 @@ def test_a_constant_state_that_was_asked_for_is_kept():
     assert table.trajectories[0].states == ("x", "c")
 
 
+@pytest.mark.slow
 def test_a_million_rows_are_thinned():
     """A million rows are thinned evenly to the bound, with a warning that says how."""
     t = np.linspace(0.0, 1e3, 1_000_000)

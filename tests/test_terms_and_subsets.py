@@ -41,6 +41,7 @@ def exhaustive(columns, y, costs, rows, most):
     return min((bits(places), places) for places in every)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 3.0]))
 def test_best_subsets_are_those_of_trying_all(seed, noise):
@@ -113,6 +114,7 @@ def test_a_term_of_infinite_cost_is_never_taken():
     assert found and all(2 not in s.places for s in found)
 
 
+@pytest.mark.slow
 def test_exploration_keeps_to_the_vocabulary():
     """With no functions allowed a saturation is described by powers and ratios only."""
     rng = np.random.default_rng(4)
@@ -126,6 +128,7 @@ def test_exploration_keeps_to_the_vocabulary():
     assert set(sympy.expand(found[0]).as_coefficients_dict()) == {X, X**2}
 
 
+@pytest.mark.slow
 def test_own_terms_take_part_in_the_exploration():
     """Sums hold the terms that the user asks for, where the data do."""
     t, own = np.linspace(0, 6, 80), parse("exp(-x^4)")

@@ -84,6 +84,7 @@ def fake_julia(monkeypatch, tmp_path):
     monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(tmp_path))
 
 
+@pytest.mark.slow
 def test_diffeqpy_is_compared_on_request(fake_julia, monkeypatch):
     """Its rows come from a process of its own, and only its trajectories are compared.
 

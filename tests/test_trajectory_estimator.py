@@ -115,6 +115,7 @@ def test_it_is_an_estimator_of_scikit_learn():
     assert clone(model).get_params() == model.get_params()
 
 
+@pytest.mark.slow
 def test_what_has_no_effect_says_so(swing):
     """PySINDy's own objects are taken, and a warning says that they do nothing."""
     t, x = swing
@@ -139,6 +140,7 @@ def test_what_does_not_fit_is_one_line(swing, arguments, said):
         TrajectoryRegressor(**QUICK).fit(swing[1], **arguments)
 
 
+@pytest.mark.slow
 def test_its_columns_are_those_of_the_fit(swing):
     """Rows of another width are refused."""
     t, x = swing
@@ -149,6 +151,7 @@ def test_its_columns_are_those_of_the_fit(swing):
         model.simulate(x[0], 3.0)
 
 
+@pytest.mark.slow
 def test_inputs_as_an_array(swing):
     """Inputs given row by row drive the simulation as a function does."""
     t = swing[0]
@@ -173,6 +176,7 @@ def test_names_may_be_those_of_the_estimator(swing):
     assert clone(TrajectoryRegressor(feature_names=["q", "v"])).feature_names == ["q", "v"]
 
 
+@pytest.mark.slow
 def test_the_step_may_be_that_of_the_estimator(swing):
     """As in PySINDy 1; without any, the line asks for it."""
     x = swing[1]
@@ -220,6 +224,7 @@ def test_a_method_of_differentiation_is_used(swing):
         TrajectoryRegressor(differentiation_method="trend", **QUICK).fit(x, t)
 
 
+@pytest.mark.slow
 def test_results_have_one_naming(swing, tmp_path):
     """What a discovery is turned into is called to_..., and load reads what save wrote."""
     import dynsr

@@ -17,6 +17,7 @@ def _samples(law: str) -> Samples:
     return Samples(X, y, ("a", "b"), "a", "given", np.arange(300.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [

@@ -310,6 +310,7 @@ def test_the_smallest_budget_leaves_more_than_a_constant(prey: dynsr.Trajectory)
     assert "search-y-endless" in found.settings["ended_by_budget"]
 
 
+@pytest.mark.slow
 def test_a_budget_that_is_not_hit_changes_nothing() -> None:
     """With an hour for a moment's work, equations, fronts and words are those without a budget."""
     t = np.linspace(0, 4, 60)

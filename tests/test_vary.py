@@ -47,6 +47,7 @@ def known(equations: dict[str, sympy.Expr], runs: tuple[Trajectory, ...]) -> Dis
     return Discovery(equations, {}, {}, {}, runs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_capacity_that_runs_share_is_found_where_their_rates_differ(noise):
     """Both coefficients of a logistic law differ, and one is half the other: one differs."""
@@ -60,6 +61,7 @@ def test_a_capacity_that_runs_share_is_found_where_their_rates_differ(noise):
     assert found.verdict.level == "law"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_what_runs_share_is_shared(noise):
     """Decays of one rate to levels of their own: the rate is one constant, the source is not."""
@@ -125,6 +127,7 @@ def test_a_rate_that_follows_a_temperature_is_said_as_arrhenius(noise):
         assert float(power * temperature) == pytest.approx(-2000, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_constant_in_proportion_to_a_known_number_is_found_as_such():
     """Rates in proportion to a dose of each run: the law holds the dose, and no rate differs."""
     doses = (1.0, 2.0, 3.0, 5.0)
@@ -136,6 +139,7 @@ def test_a_constant_in_proportion_to_a_known_number_is_found_as_such():
     assert "differs too: it is 0.1" in found.explanation["x"].replace("0.09", "0.1")
 
 
+@pytest.mark.slow
 def test_a_constant_differs_with_a_label_of_the_runs():
     """Four runs of two strains: one rate for each strain, and the sentence names the label."""
     rates = (0.3, 0.3, 0.7, 0.7)
@@ -188,6 +192,7 @@ def test_a_law_whose_constants_differ_is_found_where_one_set_fits_no_run():
     assert found.settings["vary"] is True
 
 
+@pytest.mark.slow
 def test_known_equations_are_fitted_to_each_run_before_anything_is_searched():
     """Their numbers cannot be right in each run: structures that are a law need no search."""
     curves = [logistic(k, 2.0, 0.1) for k in (0.4, 0.6, 0.9)]
@@ -199,6 +204,7 @@ def test_known_equations_are_fitted_to_each_run_before_anything_is_searched():
     assert [p.value for p in own] == pytest.approx([0.2, 0.3, 0.45], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_law_without_constants_has_none_that_differs():
     """x' = x of two runs: nothing is left to fit, in any of them."""
     t = np.linspace(0, 5, 40)
@@ -257,6 +263,7 @@ def test_constants_of_second_order_differ_too():
     assert damping.value == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.slow
 def test_equations_of_one_run_have_its_numbers():
     """`for_run` puts the numbers of a run, with their intervals, into the equations."""
     found = grown(0.01).vary()
@@ -280,6 +287,7 @@ def test_a_discovery_whose_constants_differ_is_saved_and_read(tmp_path):
     assert end == pytest.approx(2.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_runs_of_the_same_names_are_scored_with_their_own_constants():
     """The same runs without the column of the parameter: each gets its own; others are refused."""
     found = grown(0.01).vary()
@@ -299,6 +307,7 @@ def test_a_report_shows_the_table_by_run(tmp_path):
     assert f"{found.by_run[name][2].value:.6g}" in page
 
 
+@pytest.mark.slow
 def test_what_cannot_differ_is_refused_in_one_line():
     """One run, an unknown parameter, a short run, a map, and profiles of what differs."""
     runs = as_runs([np.exp(-0.5 * T), np.exp(-0.9 * T)], 0.01)

@@ -40,6 +40,7 @@ def measure(exprs, x0, end, rows, noise=0.0, seed=0):
     return Trajectory(np.linspace(0, end, rows), x + noise * x.std(axis=0) * drawn, tuple(exprs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
 def test_the_true_equations_are_a_law(noise):
     """Lotka-Volterra as it is follows and forecasts its data, clean or noisy, to the noise."""
@@ -53,6 +54,7 @@ def test_the_true_equations_are_a_law(noise):
             assert 0.6 < own.chi_square < 1.6
 
 
+@pytest.mark.slow
 def test_simple_numbers_say_nothing_of_terms_without_them():
     """A saturation is replaced by another that follows it to 1e-9, with odd constants.
 
@@ -69,6 +71,7 @@ def test_simple_numbers_say_nothing_of_terms_without_them():
     assert found.states["a"].level == "approximation"
 
 
+@pytest.mark.slow
 def test_steps_of_the_integration_hide_no_simple_numbers():
     """Irregular rows of a reaction with a weak saturation: its constants are exact to many digits.
 
@@ -86,6 +89,7 @@ def test_steps_of_the_integration_hide_no_simple_numbers():
     assert {own.level for own in found.states.values()} == {"law"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("constants", "level"), [("simple", "law"), ("odd", "approximation")])
 def test_simple_numbers_to_many_digits_are_no_chance(constants, level):
     """Where solvers' errors would hide terms, constants of few digits still show that it is a law.
@@ -103,6 +107,7 @@ def test_simple_numbers_to_many_digits_are_no_chance(constants, level):
     assert give_verdict(genes, [measure(genes, [2.77, 1.49], 11.82, 300)]).level == level
 
 
+@pytest.mark.slow
 def test_noise_is_not_there_to_be_explained():
     """Noise of 0.4 of the spread leaves the true equations an R2 of 0.86, and they are found."""
     found = give_verdict(OSCILLATOR, [measure(OSCILLATOR, [1.0, 0.0], 12, 200, 0.4)])
@@ -110,6 +115,7 @@ def test_noise_is_not_there_to_be_explained():
     assert found.level != "not found"
 
 
+@pytest.mark.slow
 def test_a_missing_state_is_not_found():
     """The position of a pendulum alone has no equation; 0 is none, and the cause is said."""
     both = {"q": parse("p"), "p": parse("-9.81*sin(q)")}
@@ -123,6 +129,7 @@ def test_a_missing_state_is_not_found():
         assert found.states["q"].reason.endswith("A state seems to be missing.")
 
 
+@pytest.mark.slow
 def test_a_state_that_rests_has_a_law_and_one_that_moves_has_none():
     """0 is right for noise alone and never for a ramp, which a constant is right for."""
     t = np.linspace(0, 5, 120)
@@ -158,6 +165,7 @@ def test_a_term_that_the_data_do_not_ask_for_keeps_an_equation_from_being_a_law(
     assert min(t.probability for t in found.terms if t.term != "y**3") > 0.999
 
 
+@pytest.mark.slow
 def test_a_different_formula_that_does_as_well_keeps_an_equation_from_being_a_law():
     """On an arc of small swings sin(q) cannot be told from q, and the explanation says so."""
     true = {"q": parse("p"), "p": parse("-4*sin(q)")}
@@ -232,6 +240,7 @@ def test_a_whole_run_is_followed_in_much_noise():
         assert found.level == "law" and found.span == pytest.approx(30.0)
 
 
+@pytest.mark.slow
 def test_noise_of_every_row_is_what_misses_are_weighed_by():
     """With the multiplicative noise that the data have, given row by row, chi-square is 1."""
     clean = measure(PREY, [1.5, 1.0], 12, 300)
@@ -287,6 +296,7 @@ def found():
     return discover((t, x), method=QUICK, jobs=1)
 
 
+@pytest.mark.slow
 def test_a_verdict_is_saved_and_old_files_have_none(found, tmp_path):
     """What was saved is read back; a file from before verdicts is not judged."""
     again = Discovery.load(found.save(tmp_path / "new.json"))
@@ -306,6 +316,7 @@ def other(found):
     return found.with_choice("y", list(found.front["y"].to_pandas().formula).index("0"))
 
 
+@pytest.mark.slow
 def test_another_formula_of_the_front_can_be_adopted(found, other):
     """It comes with constants fitted again and its own verdict; nonsense is refused in one line."""
     formulas = found.front["y"].to_pandas()
@@ -466,6 +477,7 @@ def test_open_constants_are_those_of_the_terms_as_written(text, count):
     assert len(places) == count
 
 
+@pytest.mark.slow
 def test_what_misses_exact_slopes_is_no_law():
     """An equation that follows an exact run closely misses its slopes; its law does not."""
     t = np.linspace(0.0, 6.0, 200)

@@ -36,6 +36,7 @@ def test_a_task_that_takes_long_is_never_nearly_over():
     assert estimate_left(PLAN, dict.fromkeys(PLAN, 1.0), {}, 1) is None
 
 
+@pytest.mark.slow
 def test_running_tasks_are_reported_while_nothing_ends():
     """Reports come while the main thread works, and tell of the tasks that have not ended."""
     steps, seen = [], threading.Event()

@@ -97,6 +97,7 @@ def test_a_discovery_by_the_weak_scheme():
     assert found.settings["scheme"] == {"y": "weak"}
 
 
+@pytest.mark.slow
 def test_a_velocity_by_the_weak_scheme():
     """x'' = -4 x comes from positions alone."""
     t = np.linspace(0, 6, 150)
@@ -117,6 +118,7 @@ def test_rows_too_few_for_the_weak_scheme_are_refused(tmp_path):
     assert said in run(*words, code=2).output
 
 
+@pytest.mark.slow
 def test_the_shell_takes_the_weak_scheme(tmp_path):
     """--scheme weak reaches the record."""
     t = np.linspace(0, 4, 40)

@@ -188,6 +188,7 @@ def test_a_map_has_a_verdict():
     assert adopted.is_map and adopted.verdict.level == "not found"
 
 
+@pytest.mark.slow
 def test_layers_that_hold_few_rows_are_named():
     """Van der Pol, mu = 50, over evenly spaced noisy rows: what is missing, and what to do."""
     x, y = sympy.symbols("x y")

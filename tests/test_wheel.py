@@ -85,6 +85,7 @@ def test_an_installed_dynsr_finds_julias_sources(installed, tmp_path):
     assert all((found / "src" / name).is_file() for name in SOURCES)
 
 
+@pytest.mark.slow
 def test_juliapkg_would_find_the_list_of_packages(installed, tmp_path):
     """The list lies where juliapkg looks: in one folder, directly below a place of the path."""
     code = (
@@ -118,6 +119,7 @@ def test_juliapkg_develops_the_julia_package(installed, where):
     assert (package / listed["path"] / "src" / "DynSR.jl").is_file()
 
 
+@pytest.mark.slow
 def test_an_installed_dynsr_integrates(installed, tmp_path):
     """The wheel alone is a working dynsr."""
     code = (

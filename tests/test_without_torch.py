@@ -75,6 +75,7 @@ def test_the_default_methods_run_without_torch(said):
     assert said["equation"] == "-0.5*x" and "torch" not in said["why"]
 
 
+@pytest.mark.slow
 def test_a_search_that_did_without_its_network_says_so(said):
     """The explanation names the stages that did not run, and the command that brings them."""
     assert "symmetry, separability, compositionality" in said["without"]

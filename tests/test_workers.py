@@ -26,6 +26,7 @@ def is_running(pid):
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_result_comes_with_its_number(jobs):
     """Results come in any order, each with the number of its call."""

@@ -110,6 +110,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
 def test_two_jobs_in_a_forked_process_end(tmp_path):
     """A fork of multiprocessing waits for its children, so that its workers must end before it.
@@ -204,6 +205,7 @@ def _without_times(text):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("systems",), ("--help",)])
 def test_a_reader_that_has_enough_is_no_fault(words):
     """Piped into head -1, every command ends with 0 and says nothing on stderr."""
@@ -269,6 +271,7 @@ def test_names_are_printed_whatever_the_terminal_knows(tmp_path):
     assert set(json.loads(record)["equations"]) == {"μ"}
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_it_starts_is_one_line():
     """However early after Python itself it comes, there is no traceback."""
     code = (
@@ -321,6 +324,7 @@ def test_a_value_that_diverges_is_told(table, tmp_path):
     assert "diverges" in run("score", saved, table).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["records/search-x-rational.json", "manifest.json"])
 def test_a_flipped_bit_in_what_is_finished_is_never_believed(part, tmp_path):
     """A damaged record is made again, with a word; a damaged manifest is refused."""

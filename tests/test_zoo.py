@@ -180,6 +180,7 @@ def test_intervals_are_held_against_the_constants_of_the_form_that_was_found():
         assert (scores.covered, scores.constants) == (covered, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("animal", ZOO, ids=lambda animal: animal.name)
 def test_every_law_is_exact_in_its_own_and_in_its_opened_form(animal):
     """The truth, its products multiplied out and its numbers as floats, scores as exact."""
@@ -356,6 +357,7 @@ def test_a_bad_suite_is_told_in_one_line(tmp_path, entries, words):
     assert words in told and len(told.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_command_runs_a_suite(tmp_path):
     """A suite goes through discovery and scores; every case and the tables stand in the JSON."""
     path = write(tmp_path / "s.json", SUITE[:1])
