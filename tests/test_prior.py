@@ -59,7 +59,7 @@ def test_every_choice_is_counted_by_hand():
     assert counts["role"] == {"own in v0": 3, "state in v0": 1, "state in sin(v0)": 1}
     assert counts["cited"] == {"yes": 1, "no": 1}
     assert counts["twin"] == {"no": 1}
-    assert counts["repeated"] == {}
+    assert counts["repeated"] == counts["again"] == {}
     assert counts["same inside"] == counts["same factor of a function"] == {}
     assert counts["same factor of a product"] == {"no": 1}
 
@@ -93,6 +93,19 @@ def test_constants_that_terms_share_are_counted_by_hand():
 def test_terms_are_read_in_one_way(text, expected):
     """What saturates is one factor; constants, signs and names of columns are left out."""
     assert templates(text) == expected
+
+
+def test_terms_that_differ_in_a_constant_inside_are_two():
+    """Two exponentials of a potential are no single one, and the second costs bits of its own."""
+    x, v = sympy.symbols("x v")
+    morse = sympy.exp(-2.0 * x) - 1.5 * sympy.exp(-1.0 * x)
+    assert len(read_equation(morse)) == 2
+    counts = count([{"x": v, "v": morse}]).counts
+    assert counts["again"] == {"yes": 1} and counts["template"]["exp(c*v0)"] == 1
+    uptake = "0.5*y*x**3/(x**3 + 1.5)"
+    one = bits({"x": f"0.2*x - {uptake}", "y": f"{uptake} - 0.3*y"})
+    two = bits({"x": f"0.2*x - {uptake}", "y": f"{uptake} - 0.3*y*x**3/(x**3 + 0.1)"})
+    assert two > one + 2
 
 
 def test_names_and_sizes_say_nothing():

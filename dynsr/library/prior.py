@@ -44,6 +44,7 @@ CHOICES = (
     "role in a function",
     "role",
     "cited",
+    "again",
     "repeated",
     "twin",
     INSIDE,
@@ -143,25 +144,35 @@ def _monic(line: sympy.Expr) -> sympy.Expr:
 
 
 def read_equation(expr: sympy.Expr) -> list[Term]:
-    """Take the terms of a sum apart.
+    """Take the terms of a sum apart; those that differ in a constant inside are two.
 
     Parameters
     ----------
     expr : the sum; constants are floats.
+
+    >>> x = sympy.Symbol("x")
+    >>> len(read_equation(0.5 * x * (1 - 0.2 * x))), len(read_equation(0.5 * x + 0.2 * x**2))
+    (2, 2)
+    >>> len(read_equation(0.5 * x / (x + 1.5) - 0.2 * x / (x + 0.1)))
+    2
     """
-    # So that nothing cancels, constants below 0 are another one.
-    shape = {c: sympy.pi if c > 0 else -sympy.E for c in expr.atoms(sympy.Float)}
-    return list(_read_shape(expr.xreplace(shape)))
+    numbers = dict.fromkeys(one for one in sympy.preorder_traversal(expr) if one.is_Float)
+    # Symbols of their own: nothing cancels.
+    signs = ({"positive": True} if c > 0 else {"negative": True} for c in numbers)
+    own = [sympy.Symbol(f"constant {i}", **sign) for i, sign in enumerate(signs)]
+    return list(_read_shape(expr.xreplace(dict(zip(numbers, own, strict=True))), frozenset(own)))
 
 
 @lru_cache(maxsize=50_000)
-def _read_shape(expr: sympy.Expr) -> tuple[Term, ...]:
+def _read_shape(expr: sympy.Expr, constants: frozenset[sympy.Symbol]) -> tuple[Term, ...]:
     lines = [p for p in expr.atoms(sympy.Pow) if p.base.is_Add and p.exp.is_negative]
     held = {line: sympy.Dummy() for line in lines}
     terms = sympy.Add.make_args(expand_terms(expr.xreplace(held)))
     back = {dummy: line for line, dummy in held.items()}
-    bodies = (term.xreplace(back).xreplace({sympy.E: sympy.pi}) for term in terms)
-    return tuple(sorted(set(map(read_body, bodies)), key=str))
+    factors = (sympy.Mul.make_args(term.xreplace(back)) for term in terms)
+    bodies = {sympy.Mul(*[f for f in own if f.free_symbols - constants]) for own in factors}
+    like = {c: sympy.pi if c.is_positive else -sympy.pi for c in constants}
+    return tuple(sorted((read_body(body.xreplace(like)) for body in bodies), key=str))
 
 
 def exact_bits(expr: sympy.Expr) -> float:
@@ -452,9 +463,17 @@ class Prior:
         """
         bits = self._choices["terms"].many(len(terms)) - math.lgamma(len(terms) + 1) / math.log(2)
         within = Written(written.terms, dict(written.factors), written.equations)
+        own: set[Term] = set()
         for term in terms:
+            functions = _functions(term)
+            if functions and own:
+                bits += self._says("again", term in own)
+            if term in own:
+                bits += math.log2(len(own))
+                continue
             bits += self.term_bits(term, place, within)
-            within.factors |= _functions(term)
+            within.factors |= functions
+            own |= {term} if functions else set()
         return bits
 
     def term_bits(self, term: Term, place: Place, written: Written) -> float:
@@ -614,8 +633,12 @@ def count(systems: Iterable[Mapping[str, sympy.Expr]]) -> Prior:
             place, terms = Place(state, states, ()), read_equation(expr)
             if not (written.equations and ask("twin", written.has_twin(state, terms, states))):
                 counts["terms"][_name(len(terms))] += 1
-                factors = dict(written.factors)
+                factors, own = dict(written.factors), set[Term]()
                 for term in terms:
+                    functions = _functions(term)
+                    if functions and own and ask("again", term in own):
+                        continue
+                    own |= {term} if functions else set()
                     if written.equations and ask("cited", term in written.terms):
                         continue
                     counts["factors"][_name(len(term))] += 1
@@ -626,7 +649,7 @@ def count(systems: Iterable[Mapping[str, sympy.Expr]]) -> Prior:
                         held = [place.role(name) for name in factor.columns]
                         counts[factor.roles].update(held)
                         counts["role"].update(f"{role} in {factor.template}" for role in held)
-                    factors |= _functions(term)
+                    factors |= functions
             written.add(state, terms)
         sizes = [abs(c) for e in exprs.values() for c in free_constants(e, "c")[1].values()]
         for repeat in find_repeats(exprs):
