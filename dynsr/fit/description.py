@@ -25,7 +25,6 @@ import sympy
 from dynsr.data import Samples
 from dynsr.expression import ByText, complexity, free_constants
 from dynsr.fit.candidates import Candidate
-from dynsr.fit.linear import invert_normal
 from dynsr.fit.noise import Noise, noise_of, residuals
 
 _DIGITS = 8
@@ -150,45 +149,40 @@ def precision_bits(
 
 def shortened_bits(
     information: np.ndarray,
-    covariance: np.ndarray,
     scales: np.ndarray,
     constants: np.ndarray,
     saved: Mapping[tuple[int, ...], float],
 ) -> float:
     """Bits of constants of which some are written otherwise: as simple numbers, or by other ones.
 
-    A constant that is written otherwise is no longer free, and what is correlated with it is known
-    better. Each is taken, those that save most first, where all of them cost less then.
+    A constant that is written otherwise is known, so that those that are correlated with it take
+    more bits by themselves: what all take together falls by what it saves, and by no more than it
+    takes after those that were written otherwise before it. Those that save most come first.
 
     Parameters
     ----------
     information : (P, P) inverse covariance of the constants.
-    covariance : (P, P) the same of each by itself, where others are free.
     scales : (P,) their usual sizes.
     constants : (P,) the constants.
     saved : places of constants that are written otherwise together -> bits that they save by
         themselves then.
 
     >>> told = np.diag([1e4, 1e4])
-    >>> alone = shortened_bits(told, told / 1e8, np.ones(2), np.ones(2), {})
-    >>> round(alone - shortened_bits(told, told / 1e8, np.ones(2), np.ones(2), {(1,): 5.0}), 9)
+    >>> alone = shortened_bits(told, np.ones(2), np.ones(2), {})
+    >>> round(alone - shortened_bits(told, np.ones(2), np.ones(2), {(1,): 5.0}), 9)
     5.0
     """
     free = np.ones(len(constants), dtype=bool)
-    least, said = precision_bits(information, scales, constants), 0.0
+    told = whole = precision_bits(information, scales, constants)
     for places, bits in sorted(saved.items(), key=lambda one: -one[1]):
         at = list(places)
         if bits <= 0 or not np.all(free[at]):
             continue
-        own = precision_bits(invert_normal(covariance[np.ix_(at, at)]), scales[at], constants[at])
         free[at] = False
         rest = precision_bits(information[np.ix_(free, free)], scales[free], constants[free])
-        now = max(own - bits, 0.0)
-        if rest + said + now < least:
-            least, said = rest + said + now, said + now
-        else:
-            free[at] = True
-    return least
+        whole -= min(bits, max(told - rest, 0.0))
+        told = rest
+    return whole
 
 
 def shift_bits(shift: float, error: float = 1.0) -> float:

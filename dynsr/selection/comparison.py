@@ -343,7 +343,7 @@ class SystemComparison:
             saved, cost = shared_bits(fit.exprs, fit.constants, fit.covariance)
         for place, bits in enumerate(simple.tolist()):
             saved[(place,)] = max(bits, saved.get((place,), 0.0))
-        told = shortened_bits(fit.information, fit.covariance, scales, fit.constants, saved)
+        told = shortened_bits(fit.information, scales, fit.constants, saved)
         least = self.structure(fit.exprs) + told + cost
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
