@@ -1,5 +1,6 @@
 from .atoms import FEW
 from .forms import Form, Library, LibrarySettings
+from .inside import constants_inside, unusual_bits
 from .prior import (
     Place,
     Prior,
@@ -26,6 +27,7 @@ __all__ = [
     "Prior",
     "Term",
     "Written",
+    "constants_inside",
     "exact_bits",
     "find_coordinates",
     "find_repeats",
@@ -35,5 +37,6 @@ __all__ = [
     "structure_in",
     "structure_of",
     "textbooks",
+    "unusual_bits",
     "write_down",
 ]

@@ -36,6 +36,7 @@ from dynsr.library import (
     read_equation,
     structure_of,
     textbooks,
+    unusual_bits,
 )
 from dynsr.methods import Demands, recalled
 from dynsr.selection.evidence import Evidence
@@ -184,6 +185,7 @@ class SystemComparison:
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
     _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
     _ranges: dict[sympy.Expr, float] = field(default_factory=dict)
+    _sizes: dict[sympy.Expr, float] = field(default_factory=dict)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be fitted."""
@@ -263,6 +265,14 @@ class SystemComparison:
             with np.errstate(all="ignore"):
                 self._ranges[expr] = float(np.ptp(evaluate(expr, self.mesh.columns)))
         return self._ranges[expr]
+
+    def _size_of(self, expr: sympy.Expr) -> float:
+        """Root mean square of an expression of the columns along the data."""
+        if expr not in self._sizes:
+            with np.errstate(all="ignore"):
+                values = evaluate(expr, self.mesh.columns)
+            self._sizes[expr] = float(np.sqrt(np.mean(np.square(values))))
+        return self._sizes[expr]
 
     @property
     def _how(self) -> CollocationSettings:
@@ -344,6 +354,8 @@ class SystemComparison:
         for place, bits in enumerate(simple.tolist()):
             saved[(place,)] = max(bits, saved.get((place,), 0.0))
         told = shortened_bits(fit.information, scales, fit.constants, saved)
+        if has("bits-inside"):
+            cost += unusual_bits(tuple(fit.exprs.values()), self._size_of)
         least = self.structure(fit.exprs) + told + cost
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()

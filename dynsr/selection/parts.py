@@ -34,6 +34,7 @@ PARTS: Mapping[str, str] = {
     "methods": "the other methods where no equations of exact data are found without them",
     "bits-simple": "bits saved by simple numbers",
     "bits-shared": "bits saved by constants that two equations share",
+    "bits-inside": "bits of constants inside of another size than their columns",
 }
 
 
