@@ -5,7 +5,7 @@ import math
 import pytest
 import sympy
 
-from dynsr.library import constants_inside, unusual_bits
+from dynsr.library.inside import constants_inside, unusual_bits
 
 x, y, t = sympy.symbols("x y t")
 

@@ -20,6 +20,7 @@ def _propose(
     seed: int = 0,
     rows: int = 120,
     near: str | None = None,
+    from_nothing: bool = False,
     settings: ProposalSettings = PROPOSALS,
 ) -> list[sympy.Expr]:
     rng = np.random.default_rng(seed)
@@ -31,7 +32,9 @@ def _propose(
     evidence = Evidence(("x", "y"), points, y, np.eye(rows) / size, 0.0, float(rows))
     place = Place("x", ("x", "y"), ("x", "y"), ())
     begun = None if near is None else sympy.sympify(near)
-    return propose(evidence, place, lambda _: True, settings=settings, near=begun)
+    return propose(
+        evidence, place, lambda _: True, settings=settings, near=begun, from_nothing=from_nothing
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,6 +65,7 @@ def test_terms_that_a_beam_passes_by_are_found() -> None:
     assert skeleton(best) == skeleton(sympy.sympify(law))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "near",
     ["1.5*x - 0.7*x**2 - 0.6*x*y", "x - x*y", "x - x*y**2 - y", "x - x**2 + y - x*y + y**2 + 1"],
@@ -74,6 +78,18 @@ def test_the_law_is_found_near_an_equation(near: str) -> None:
     assert skeleton(best) == skeleton(sympy.sympify(law))
 
 
+@pytest.mark.slow
+def test_sums_grown_from_nothing_are_those_that_may_be_better() -> None:
+    """Of the sums that are grown from nothing those stay that take hardly more bits than one."""
+    law = "1.5*x - 0.7*x**2 - 0.6*x*y"
+    few = _propose(law, noise=0.01, near=law, from_nothing=True)
+    every = _propose(law, noise=0.01)
+    shapes = [skeleton(expr) for expr in few]
+    assert shapes[0] == skeleton(sympy.sympify(law))
+    assert 0 < len(few) < len(every) and set(shapes) <= {skeleton(expr) for expr in every}
+
+
+@pytest.mark.slow
 def test_what_is_expected_to_be_worse_is_not_proposed() -> None:
     """Near the law, changes that miss by far are no proposals; without a bound they are."""
     law = "1.5*x - 0.7*x**2 - 0.6*x*y"

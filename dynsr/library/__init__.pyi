@@ -1,6 +1,6 @@
 from .atoms import FEW
 from .forms import Form, Library, LibrarySettings
-from .inside import constants_inside, unusual_bits
+from .inside import unusual_bits
 from .prior import (
     Place,
     Prior,
@@ -27,7 +27,6 @@ __all__ = [
     "Prior",
     "Term",
     "Written",
-    "constants_inside",
     "exact_bits",
     "find_coordinates",
     "find_repeats",

@@ -633,12 +633,12 @@ def count(systems: Iterable[Mapping[str, sympy.Expr]]) -> Prior:
             place, terms = Place(state, states, ()), read_equation(expr)
             if not (written.equations and ask("twin", written.has_twin(state, terms, states))):
                 counts["terms"][_name(len(terms))] += 1
-                factors, own = dict(written.factors), set[Term]()
+                factors, before = dict(written.factors), set[Term]()
                 for term in terms:
                     functions = _functions(term)
-                    if functions and own and ask("again", term in own):
+                    if functions and before and ask("again", term in before):
                         continue
-                    own |= {term} if functions else set()
+                    before |= {term} if functions else set()
                     if written.equations and ask("cited", term in written.terms):
                         continue
                     counts["factors"][_name(len(term))] += 1

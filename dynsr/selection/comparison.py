@@ -423,6 +423,7 @@ class SystemComparison:
         *,
         functions: bool = True,
         near: sympy.Expr | None = None,
+        from_nothing: bool = False,
     ) -> list[sympy.Expr]:
         """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -433,12 +434,21 @@ class SystemComparison:
         others : states and equations of theirs; terms in these cost less.
         functions : whether others than their terms and products of the columns are terms.
         near : an equation to start from; by default sums are grown from nothing.
+        from_nothing : whether they are so with ``near`` too, which says then what they may cost.
         """
         demands, settings = self.settings.demands, self.settings.proposals
         place, allow = self._place(state), demands.limits(state).check
         offered = demands.offered
         return propose(
-            evidence, place, allow, offered, others, settings, functions=functions, near=near
+            evidence,
+            place,
+            allow,
+            offered,
+            others,
+            settings,
+            functions=functions,
+            near=near,
+            from_nothing=from_nothing,
         )
 
     def evidence(

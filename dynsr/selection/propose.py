@@ -268,7 +268,7 @@ class Proposer:
             self._refine(found)
         return self._front_first(found)
 
-    def near(self, places: Sequence[int]) -> list[Sum]:
+    def near(self, places: Sequence[int], *, from_nothing: bool = False) -> list[Sum]:
         """Give the best sums that come of one by adding, exchanging and dropping forms in turn.
 
         Those that are expected to take many more bits than it are left out.
@@ -276,16 +276,19 @@ class Proposer:
         Parameters
         ----------
         places : of its forms in the library, whose constants inside do not move.
+        from_nothing : whether the sums are grown from nothing instead.
         """
         found: dict[tuple[int, ...], Sum] = {}
         with np.errstate(all="ignore"):
             begun = self._fit(np.array([places]), np.zeros((1, len(places), self.library.most)))
             begun = begun.some(np.isfinite(begun.left))
             most = float(np.min(self._bits(begun), initial=math.inf)) + self.settings.doubt
-            for layer in (begun, self._grow(begun, self._allowed)):
-                self._note(layer, found)
-            self._refine(found)
-        return [one for one in self._front_first(found) if one.bits <= most]
+            if not from_nothing:
+                for layer in (begun, self._grow(begun, self._allowed)):
+                    self._note(layer, found)
+                self._refine(found)
+        ranked = self.best() if from_nothing else self._front_first(found)
+        return [one for one in ranked if one.bits <= most]
 
     def _refine(self, found: dict[tuple[int, ...], Sum]) -> None:
         """Exchange forms of the best sums while that finds better ones, then drop some."""
@@ -805,6 +808,7 @@ def propose(
     functions: bool = True,
     enough: Callable[[Iterator[sympy.Expr], int], bool] | None = None,
     near: sympy.Expr | None = None,
+    from_nothing: bool = False,
 ) -> list[sympy.Expr]:
     """Give the sums of terms of the library that are expected to take the fewest bits.
 
@@ -821,6 +825,8 @@ def propose(
     enough : whether sums of the cheapest terms, the best first, are good enough to end the search;
         its second argument is how many times more terms there are.
     near : an equation to start from; by default sums are grown from nothing.
+    from_nothing : whether they are so with ``near`` too, and only those come back that are expected
+        to take hardly more bits than it.
     """
     names = place.columns
     begun = () if near is None else bodies_of(near)
@@ -855,7 +861,7 @@ def propose(
 
     proposer = Proposer(evidence, library, costs, settings)
     if begun:
-        sums = proposer.near(range(len(begun)))
+        sums = proposer.near(range(len(begun)), from_nothing=from_nothing)
     elif enough is None:
         sums = proposer.best()
     else:
