@@ -371,6 +371,8 @@ class _Look:
         bare = any(n is not None and n.bare for n in self.parsed)
         large = any(n is not None and n.text.isdigit() and len(n.text) > 3 for n in self.parsed)
         groups = (bare and not large) or (not other and delimiter == sign == ",")
+        # The mark of other columns separates no thousands.
+        groups &= other != sign
         found = {other} if other else set()
         found |= {"." if sign == "," else ","} if groups else set()
         # Semicolons stand between cells where commas stand in numbers.

@@ -38,7 +38,7 @@ __all__ = [
 
 
 # Documents, in which numbers stand among other things.
-_NO_TABLES = (".yaml", ".yml", ".html", ".htm", ".xml", ".pdf", ".doc", ".docx", ".rtf", ".png")
+_NO_TABLES = (".yaml", ".yml", ".xml", ".pdf", ".doc", ".docx", ".rtf", ".png")
 
 
 def load_columns(

@@ -25,7 +25,6 @@ import numpy as np
 
 from dynsr.data.assembling import MAX_BYTES, Columns, assemble, check_size, unreadable
 from dynsr.data.blocks import find_blocks
-from dynsr.data.boxes import is_boxed, without_box
 from dynsr.data.brackets import may_be_bracketed, read_brackets
 from dynsr.data.layout import (
     NUMBER,
@@ -37,6 +36,7 @@ from dynsr.data.layout import (
     settings_of_wells,
 )
 from dynsr.data.monitor import read_monitor
+from dynsr.data.wrapping import unwrapped, without_colours
 from dynsr.errors import InputError, quoted
 
 _HEAD_BYTES = 1 << 16
@@ -93,7 +93,7 @@ def load_delimited(path: Path, decimal: str | None = None) -> Columns:
     if _first_of_monitor(path, head):
         check_size(path, _unpacked_size(path))
         with _opener(path)(path, "rt", encoding=_encoding(head), errors="replace") as file:
-            found = read_monitor(file, path.name)
+            found = read_monitor(map(without_colours, file), path.name)
         if found is not None:
             return found
     if (array := _load_array(path, head)) is not None:
@@ -118,8 +118,8 @@ def read_header(path: Path) -> tuple[str, ...]:
 
 def _first_of_monitor(path: Path, head: bytes) -> Columns | None:
     """Read the first lines as those that a program printed."""
-    lines = _LINE_END.split(head.decode(_encoding(head), errors="replace"))
-    return read_monitor(lines[:_HEAD_LINES], path.name)
+    text = without_colours(head.decode(_encoding(head), errors="replace"))
+    return read_monitor(_LINE_END.split(text)[:_HEAD_LINES], path.name)
 
 
 def _load_array(path: Path, head: bytes) -> Columns | None:
@@ -231,13 +231,14 @@ class _Head:
 
     @classmethod
     def of(cls, path: Path, head: bytes, cut: bool) -> _Head:
-        """Look at a file by its head; of a table in a box, at all of it without the box."""
+        """Look at a file by its head; of a table in a wrapping, at all of it without that."""
         encoding = _encoding(head)
-        if not is_boxed(head.decode(encoding, errors="replace")):
+        take = unwrapped(head.decode(encoding, errors="replace"))
+        if take is None:
             return cls(path.name, head, cut, encoding)
         check_size(path, _unpacked_size(path))
         with _opener(path)(path, "rt", encoding=encoding, errors="replace") as file:
-            whole = without_box(file.read()) + "\n"
+            whole = take(file.read()) + "\n"
         found = cls(path.name, whole.encode(), False, "utf-8")
         found.whole = whole
         return found

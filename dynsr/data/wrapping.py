@@ -1,0 +1,199 @@
+"""Wrapping: what is around the cells of a table of text where it was made to be looked at.
+
+Printed frames have lines around their cells, pages of the web and LaTeX have marks, a terminal has
+colours, some programs put every line in quotation marks, and ARFF has its names line by line.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterable
+from html.parser import HTMLParser
+
+_BARS = re.compile("[\u2502\u2503\u2506\u250a\u2551]")
+_RULE = re.compile("[\\s\u2500-\u257f+|=:-]*")
+_ASCII = re.compile(r"^\s*\+[=-]{2,}(\+[=-]{2,})*\+\s*$", re.MULTILINE)
+# What stands above a printed frame: its size.
+_SIZE = re.compile("\\s*(shape: \\(.*\\)|\\d+\u00d7\\d+ \\w*DataFrame.*)\\s*")
+# Types of columns, as Polars, Julia and R print them below the names.
+_TYPE = re.compile(
+    r"---|[uif]\d{1,2}|str|bool|date|U?Int\d*|Float\d*\??|String\d*\??|Bool|Any|Date\w*|<\w+>",
+)
+_COLOUR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+_ATTRIBUTE = re.compile(r"(?im)^\s*@attribute\s+('[^']*'|\"[^\"]*\"|\S+)\s")
+_DATA = re.compile(r"(?im)^\s*@data\b.*$")
+_LATEX_ROW = re.compile(r"^[^&%]*&.*\\\\(\[.*?\])?\s*(\\[a-z]+(\{[^}]*\}|\([^)]*\))*\s*)*$")
+_COMMAND = re.compile(
+    r"\\(hline|toprule|midrule|bottomrule|cline|cmidrule)(\([^)]*\))?(\{[^}]*\})?"
+)
+_PAGE = re.compile(r"(?i)\s*(<\?xml[^>]*>\s*)?<(!doctype html|html|table)\b")
+_QUOTED = re.compile(r'\s*"([^"]|"")*[,;\t]([^"]|"")*"[,;\s]*')
+
+
+def unwrapped(head: str) -> Callable[[str], str] | None:
+    """Give what takes a text out of its wrapping, as its head shows it; None for none.
+
+    Parameters
+    ----------
+    head : the first lines of the text.
+
+    >>> unwrapped("t,x") is None
+    True
+    >>> lines = ["+---+---+", "| t | x |", "+===+===+", "| 0 | 2 |", "+---+---+"]
+    >>> text = chr(10).join(lines)
+    >>> print(unwrapped(text)(text))
+    | t | x |
+    | 0 | 2 |
+    """
+    taken: list[Callable[[str], str]] = []
+    for shows, takes in _WRAPPINGS:
+        if shows(head):
+            taken.append(takes)
+            head = takes(head)
+    if not taken:
+        return None
+
+    def take(text: str) -> str:
+        for one in taken:
+            text = one(text)
+        return text
+
+    return take
+
+
+def without_colours(text: str) -> str:
+    """Give a text without the colours of a terminal.
+
+    Parameters
+    ----------
+    text : the text.
+
+    >>> without_colours(chr(27) + "[32mok" + chr(27) + "[0m")
+    'ok'
+    """
+    return _COLOUR.sub("", text)
+
+
+def _has_colours(text: str) -> bool:
+    return _COLOUR.search(text) is not None
+
+
+def _is_boxed(text: str) -> bool:
+    return bool(_BARS.search(text) or _ASCII.search(text))
+
+
+def _without_box(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    kept = [line for line in lines if not (_RULE.fullmatch(line) or _SIZE.fullmatch(line))]
+    if _BARS.search(text):
+        kept = [_BARS.sub(" ", line).strip() for line in kept]
+        kept = [line for line in kept if not all(map(_TYPE.fullmatch, line.split()))]
+    return "\n".join(kept)
+
+
+def _is_quoted(text: str) -> bool:
+    """Whether each line is one cell in quotation marks that holds several."""
+    lines = [line for line in text.splitlines() if line.strip()][:-1]
+    return len(lines) > 1 and all(map(_QUOTED.fullmatch, lines))
+
+
+def _without_quotes(text: str) -> str:
+    stripped = (line.strip().strip(",;\t ") for line in text.splitlines())
+    return "\n".join(line[1:-1].replace('""', '"') for line in stripped)
+
+
+def _is_latex(text: str) -> bool:
+    lines = [line.strip() for line in text.splitlines()]
+    return sum(_LATEX_ROW.match(line) is not None for line in lines) > max(1, len(lines) / 3)
+
+
+def _without_latex(text: str) -> str:
+    lines = (_COMMAND.sub("", line).strip() for line in text.splitlines())
+    rows = (line.split("\\\\")[0] for line in lines if _LATEX_ROW.match(line))
+    plain = (row.replace("$", "").replace("\\%", "%").replace("\\_", "_") for row in rows)
+    return _written(re.split(r"(?<!\\)&", row) for row in plain)
+
+
+def _is_arff(text: str) -> bool:
+    return _ATTRIBUTE.search(text) is not None
+
+
+def _without_arff(text: str) -> str:
+    names = [name.strip("'\"") for name in _ATTRIBUTE.findall(text)]
+    _, _, rows = _DATA.sub("@data", text, count=1).partition("@data")
+    kept = (line for line in rows.splitlines() if line.strip() and line.lstrip()[0] != "%")
+    return _written([names]) + "\n".join(line.replace(",", "\t") for line in kept)
+
+
+def _is_page(text: str) -> bool:
+    return _PAGE.match(text) is not None
+
+
+def _without_page(text: str) -> str:
+    """Give the largest table of a page."""
+    parser = _Tables()
+    parser.feed(text)
+    parser.close()
+    largest: list[list[str]] = max(parser.tables, key=len, default=[])
+    return _written(largest)
+
+
+class _Tables(HTMLParser):
+    """Takes the cells of all tables of a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tables: list[list[list[str]]] = []
+        self._cell: list[str] | None = None
+        self._wide, self._hidden = 1, 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Begin a table, a row or a cell."""
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr" and self.tables:
+            self._end_cell()
+            self.tables[-1].append([])
+        elif tag in ("td", "th") and self.tables and self.tables[-1]:
+            self._end_cell()
+            spans = dict(attrs).get("colspan") or "1"
+            self._cell, self._wide = [], int(spans) if spans.isdecimal() else 1
+        elif tag in ("sup", "style", "script"):
+            self._hidden += 1
+
+    def handle_endtag(self, tag: str) -> None:
+        """End a cell, or what is no part of it."""
+        if tag in ("td", "th", "tr", "table"):
+            self._end_cell()
+        elif tag in ("sup", "style", "script"):
+            self._hidden = max(self._hidden - 1, 0)
+
+    def handle_data(self, data: str) -> None:
+        """Add to a cell."""
+        if self._cell is not None and not self._hidden:
+            self._cell.append(data)
+
+    def _end_cell(self) -> None:
+        if self._cell is not None:
+            text = " ".join("".join(self._cell).split())
+            self.tables[-1][-1] += [text, *[""] * (min(self._wide, 100) - 1)]
+            self._cell = None
+
+
+def _written(rows: Iterable[Iterable[str]]) -> str:
+    found = io.StringIO()
+    writer = csv.writer(found, delimiter="\t", lineterminator="\n")
+    writer.writerows([" ".join(cell.split()) for cell in row] for row in rows)
+    return found.getvalue()
+
+
+_WRAPPINGS: tuple[tuple[Callable[[str], bool], Callable[[str], str]], ...] = (
+    (_has_colours, without_colours),
+    (_is_page, _without_page),
+    (_is_arff, _without_arff),
+    (_is_latex, _without_latex),
+    (_is_quoted, _without_quotes),
+    (_is_boxed, _without_box),
+)
