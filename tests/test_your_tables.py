@@ -145,7 +145,7 @@ FORMS = {
         + rows(
             lambda k: f"{1958 + k // 12} {k % 12 + 1} {1958 + (k + 0.5) / 12:.4f} {FALL[k]:.2f}"
         ),
-        {"time": ("x2", ""), "states": ["x1", "x3"], "rows": N},
+        {"time": ("x2", ""), "states": ["x3"], "rows": N},
     ),
     "a potentiostat.DTA": (
         "EXPLAIN\nTAG\tCV\nCURVE\tTABLE\n\tPt\tT\tVf\n\t#\ts\tV vs. Ref.\n"

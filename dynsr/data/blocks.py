@@ -22,7 +22,8 @@ class Blocks:
     Parameters
     ----------
     columns : the columns of each block.
-    names : what the columns of the first block are called, without what names the block.
+    names : what the columns of the first block are called, without what names the block; the time
+        alone where each block has quantities of its own.
     runs : what names each block; () where each has quantities of its own.
     word : what the runs are called.
     """
@@ -83,17 +84,49 @@ def find_blocks(names: Sequence[str], columns: Sequence[np.ndarray]) -> Blocks |
             if labels is not None:
                 word = said[0][-1][0] or "run"
                 return Blocks(places, tuple(stems[:size]), labels, word)
-    # Quantities at times of their own.
-    starts = [place for place, j in enumerate(used) if names[j] == names[used[0]]]
-    values = [names[j] for j in used if names[j] != names[used[0]]]
+    return _find_own_times(used, names, columns)
+
+
+def _find_own_times(
+    used: Sequence[int], names: Sequence[str], columns: Sequence[np.ndarray]
+) -> Blocks | None:
+    """Find quantities at times of their own: each time is before those that were measured then."""
+    following = [*(bare_name(names[j]) for j in used[1:]), ""]
+    tagged = [_tagged_time(bare_name(names[j]), f) for j, f in zip(used, following, strict=True)]
+    first = tagged[0] or (bare_name(names[used[0]]) if _is_time(names[used[0]]) else "")
+    same = [
+        names[j] == names[used[0]] or stem == first for j, stem in zip(used, tagged, strict=True)
+    ]
+    stems = [first if first and own else "" for own in same]
+    starts = [place for place, stem in enumerate(stems) if stem]
+    values = [names[used[place]] for place, stem in enumerate(stems) if not stem]
     times = [columns[used[place]] for place in starts]
-    if len(starts) < 2 or not _is_time(names[used[0]]) or len(set(values)) < len(values):
+    if len(starts) < 2 or starts[0] or len(set(values)) < len(values):
         return None
     ends = [*starts[1:], len(used)]
     if any(b - a < 2 for a, b in zip(starts, ends, strict=True)) or _are_equal(times):
         return None
+    called = [names[used[place]] for place in starts]
+    units = {bracketed_unit(name) for name in called}
+    if len(units) > 1 or (len(set(called)) > 1 and not all(map(_rises, times))):
+        return None
     own = tuple(tuple(used[a:b]) for a, b in zip(starts, ends, strict=True))
-    return Blocks(own, (), ())
+    unit = bracketed_unit(names[used[0]])
+    return Blocks(own, (f"{stems[0]} [{unit}]" if unit else stems[0],), ())
+
+
+def _tagged_time(name: str, following: str) -> str:
+    """Give the name of a time without a number or the name of the next column; "" for no time."""
+    match = re.fullmatch(rf"(?i)(.+?)[\W_]+{re.escape(following)}", name) if following else None
+    match = match or re.fullmatch(rf"(?i){re.escape(following)}[\W_]+(.+)", name)
+    match = match or re.fullmatch(r"(.+?)[\W_]*\d+", name)
+    return match[1] if match and is_time_name(match[1]) else ""
+
+
+def _rises(column: np.ndarray) -> bool:
+    """Whether numbers are in order; what is no number is not asked."""
+    values = read_columns([column])[0].values
+    return values.dtype.kind != "f" or bool(np.all(np.diff(values[np.isfinite(values)]) > 0))
 
 
 def _split(name: str, patterns: Sequence[re.Pattern[str]]) -> tuple[str, str, str]:
@@ -144,7 +177,7 @@ def stack_blocks(
         label = np.repeat(np.array(blocks.runs, dtype=object), [there.sum() for there in rows])
         heads = [blocks.word, *blocks.names]
         return heads, [label, *stacked], ["", *(told[j] for j in first)]
-    heads, own_units = [names[first[0]]], [told[first[0]]]
+    heads, own_units = list(blocks.names), [told[first[0]]]
     times = _join([columns[c[0]][r] for c, r in zip(blocks.columns, rows, strict=True)])
     stacked = [times]
     counts = [int(there.sum()) for there in rows]

@@ -30,9 +30,11 @@ from dynsr.errors import InputError, quoted
 _DAY, _HOUR = 86400.0, 3600.0
 _HOURS = re.compile(r"h|hrs?|hours?|stunden?|heures?|horas?|ora", re.IGNORECASE)
 _DECIMAL_YEAR = re.compile(
-    r"y{4}[._]y+|(dec|decimal|fractional)[\W_]?(year|date)|(year|date)[\W_]*(dec|decimal|frac\w*)\W?",
+    r"y{4}[._]y+|decimal|(dec|decimal|fractional)[\W_]?(year|date)|(year|date)[\W_]*(dec|decimal|frac\w*)\W?",
     re.IGNORECASE,
 )
+# Twelfths of a year by which months and their names are apart, from their first day to their last.
+_WITHIN_A_MONTH = 0.6
 # A letter T in such a unit is a temperature.
 _OF_TEMPERATURE = re.compile(r"[°º].*|deg.*|[CFK℃℉]|celsius|fahrenheit|kelvin", re.IGNORECASE)
 # Ages of layers and ice, and what is left of a time.
@@ -482,8 +484,8 @@ class _Look:
                 dated = _OTHER_TIME.fullmatch(name) and self._moments(name) is not None
                 if time.counted and (dated or _DECIMAL_YEAR.fullmatch(name)):
                     left_out[name] = f"is a second time in addition to {time.name!r}"
-                elif not time.counted and np.array_equal(values, np.floor(time.values)):
-                    left_out[name] = f"is the whole part of {time.name!r}"
+                elif not time.counted and (part := _part_of(values, time.values)):
+                    left_out[name] = f"is the {part} of {time.name!r}"
                 continue
             if values.dtype.kind == "m" and not is_time_name(name):
                 continue
@@ -497,6 +499,16 @@ class _Look:
                 else f"is a second time in addition to {time.name!r}"
             )
         return replace(time, left_out=left_out)
+
+
+def _part_of(values: np.ndarray, t: np.ndarray) -> str:
+    """Name the part of decimal years that a column says again; "" for none."""
+    if np.array_equal(values, np.floor(t)):
+        return "whole part"
+    # Months are not all of one length.
+    month = 12 * np.mod(t, 1) + 0.5
+    is_month = np.ptp(month) > 1 and np.all(np.abs(values - month) <= _WITHIN_A_MONTH)
+    return "month" if is_month and np.all((values % 1 == 0) & (values > 0)) else ""
 
 
 def _as_numbers(values: np.ndarray) -> np.ndarray | None:
