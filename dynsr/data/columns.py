@@ -38,6 +38,7 @@ __all__ = [
 
 
 # Documents, in which numbers stand among other things.
+_PAGES = (".html", ".htm")
 _NO_TABLES = (".yaml", ".yml", ".xml", ".pdf", ".doc", ".docx", ".rtf", ".png")
 
 
@@ -166,7 +167,8 @@ def _load_file(path: Path, decimal: str | None) -> Columns:
     _check_file(file)
     if sheet:
         return load_excel(file, decimal, sheet)
-    if path.suffix.lower() in _NO_TABLES:
+    page = path.suffix.lower() in _PAGES
+    if path.suffix.lower() in _NO_TABLES or (page and b"<table" not in path.read_bytes().lower()):
         raise InputError(f"{path.name!r} is no table; save its rows as CSV, and give that file")
     reader = None if _is_other_text(path) else READERS.get(path.suffix.lower())
     return load_delimited(path, decimal) if reader is None else reader(path, decimal)

@@ -36,6 +36,9 @@ from dynsr.data.layout import (
     settings_of_wells,
 )
 from dynsr.data.monitor import read_monitor
+from dynsr.data.name_parts import bare_name
+from dynsr.data.said_steps import find_said_step
+from dynsr.data.times import is_time_name, unit_in_name
 from dynsr.data.wrapping import unwrapped, without_colours
 from dynsr.errors import InputError, quoted
 
@@ -368,6 +371,8 @@ def _load_text(path: Path, head: _Head, decimal: str | None) -> Columns:
     columns = [frame[j].to_numpy(None if frame[j].dtype.kind in "fiub" else object) for j in frame]
     names, columns, said = _with_increment(head, names, columns)
     notes = (*notes, *said)
+    names, columns, said = _with_said_step(head, names, columns)
+    notes = (*notes, *said)
     none, said = rows_that_are_none(columns, path.name)
     notes = (*notes, *said)
     columns = [column[~none] for column in columns]
@@ -425,6 +430,18 @@ def _with_increment(
     renamed = ["t [s]" if j == at["x"] else names[j] for j in own]
     said = f"{names[at['x']]!r} counts rows of {step:g} s from {start:g} s on"
     return renamed, [t if j == at["x"] else columns[j] for j in own], [said]
+
+
+def _with_said_step(
+    head: _Head, names: list[str], columns: list[np.ndarray]
+) -> tuple[list[str], list[np.ndarray], list[str]]:
+    """Count the rows in seconds where no column is called a time and a line says the rate."""
+    timed = any(is_time_name(name) or unit_in_name(name) for name in map(bare_name, names) if name)
+    said = None if timed or not names else find_said_step(head.lines[: head.layout.first])
+    if said is None:
+        return names, columns, []
+    t = said[0] * np.arange(len(columns[0]))
+    return ["t [s]", *names], [t, *columns], [f"rows are {said[0]:g} s apart: {quoted(said[1])}"]
 
 
 def _fit_names(label: str, head: _Head, frame: Any) -> list[str]:

@@ -283,8 +283,18 @@ class _Look:
                 f"{quoted(values[first])} in row {first + 1} and {quoted(values[other])} "
                 f"in row {other + 1}; write all dates in one way, such as 2024-12-31"
             )
+        # Where the first is a time, it is the first of the others that is none.
+        reads = read_times(values[:1], name) is not None
         row = next(
-            (i for i, cell in enumerate(values) if _as_numbers(values[i : i + 1]) is None), 0
+            (
+                i
+                for i in range(len(values))
+                if (
+                    read_times(values[i : i + 1], name) if reads else _as_numbers(values[i : i + 1])
+                )
+                is None
+            ),
+            0,
         )
         raise InputError(
             f"time {name!r} of {self._columns.label} has the text "

@@ -63,6 +63,8 @@ _DURATION = re.compile(
     r"-?(\d+ ?d(ays?)?,? )-?\d+:\d\d(:\d\d(\.\d*)?)?|\d+ days?|-\d+:\d\d(:\d\d(\.\d*)?)?|"
     r"P(\d+D)?(T(\d+H)?(\d+M)?(\d+(\.\d+)?S)?)?"
 )
+# Such as 1h 30m or 2m3.5s.
+_IN_PARTS = re.compile(r"(\d+ ?d ?)?(\d+ ?h ?)?(\d+ ?m(in)? ?)?(\d+(\.\d+)? ?s)?")
 _CLOCK = (
     r"(?P<h>\d+)[:h](?P<m>\d\d)(?:[:m](?P<s>\d\d))?(?:[.,](?P<f>\d{1,9}))?s?"
     r"\s*(?P<half>[AaPp])?(?(half)\s?\.?\s?[Mm]\.?)"
@@ -93,12 +95,30 @@ _STAMP = re.compile(
     rf"(?:[\s,T_]+{_CLOCK})?{_ZONE}"
 )
 _MONTHS = {
-    "jan": "janv ene", "feb": "févr fév fev", "mar": "mär mrz märz", "apr": "abr avr avril",
-    "may": "mai mayo maj", "jun": "juin", "jul": "juil juillet", "aug": "ago août aout",
-    "sep": "sept set", "oct": "okt out", "nov": "noviembre", "dec": "dez dic déc",
-}  # fmt: skip
+    "jan": "janv janvier januar ene enero gen gennaio janeiro januari",
+    "feb": "févr fév fev février februar febrero febbraio fevereiro februari",
+    "mar": "mär mrz märz mars marzo março maart mrt",
+    "apr": "abr avr avril abril aprile",
+    "may": "mai mayo maj mei mag maggio maio",
+    "jun": "juin juni junio giu giugno junho",
+    "jul": "juil juillet juli julio lug luglio julho",
+    "aug": "ago août aout agosto augustus augusti",
+    "sep": "sept set septembre septiembre settembre setembro",
+    "oct": "okt out octobre oktober octubre ott ottobre outubro",
+    "nov": "noviembre novembre novembro",
+    "dec": "dez dic déc décembre dezember diciembre dicembre dezembro desember",
+}
 _IN_ENGLISH = {own: month for month, names in _MONTHS.items() for own in names.split()}
-_MONTH = re.compile(r"[^\W\d]{3,9}\.?")
+_MONTH = re.compile(r"[^\W\d]{3,10}\.?")
+# Zones by their letters, and hours that they are before the one of Greenwich.
+_ZONES = {
+    "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "CEST": 2, "MEZ": 1, "MESZ": 2, "EET": 2, "EEST": 3,
+    "JST": 9, "AEST": 10, "AEDT": 11, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7,
+    "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+_BY_LETTERS = re.compile(rf"(?<=\d)\s*({'|'.join(_ZONES)})$")
+# What date of Unix prints: Sat Mar 30 00:00:01 CET 2024.
+_OF_UNIX = re.compile(r"[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d+) (\d+:\d+:\d+)( [A-Z]{3,4})? (\d{4})")
 _FULL = re.compile(
     "january|february|march|april|june|july|august|september|october|november|december|"
     "monday|tuesday|wednesday|thursday|friday|saturday|sunday"
@@ -488,7 +508,22 @@ def _or_nat(cell: Any, kind: str) -> Any:
     return np.timedelta64("NaT") if _is_missing(cell) else np.timedelta64(cell)
 
 
+def _in_usual_form(text: str) -> str:
+    """Write what other programs and languages have between the parts of a time as most do.
+
+    >>> [_in_usual_form(t) for t in ("2024/03/30-10:11", "0:00:01:500", "2024-03-30 10:11 CET")]
+    ['2024/03/30 10:11', '0:00:01.500', '2024-03-30 10:11+01:00']
+    """
+    text = _OF_UNIX.sub(r"\2 \1 \5 \3\4", text)
+    text = re.sub(r"(\d{4})\s*[年년]\s*(\d+)\s*[月월]\s*(\d+)\s*[日일]", r"\1-\2-\3", text)
+    text = re.sub(r"(?<=[\w.]) de (?=\w)", " ", text)
+    text = re.sub(r"(?<=[./-]\d\d)-(?=\d\d:\d\d)", " ", text)
+    text = re.sub(r"^(\d+:\d\d:\d\d):(\d{3})$", r"\1.\2", text)
+    return _BY_LETTERS.sub(lambda zone: f"{_ZONES[zone[1]]:+03d}:00", text)
+
+
 def _read_text(texts: list[str | None], name: str) -> Moments | None:
+    texts = [None if text is None else _in_usual_form(text) for text in texts]
     found = _read_clocks(texts, name)
     if found is not None:
         return found
@@ -507,6 +542,9 @@ def _read_text(texts: list[str | None], name: str) -> Moments | None:
         sizes = np.array([_SECONDS[unit] for unit in counted[1]])
         values[there] = np.round(counted[0][there] * sizes * 1e9).astype("int64")
         return Moments(values)
+    if counted is None and all(text is None or _IN_PARTS.fullmatch(text) for text in texts):
+        read = _attempt(lambda: pandas.to_timedelta(texts).to_numpy())
+        return None if read is None else Moments(read)
     stamps = _read_stamps(texts)
     dotted = [None if text is None else _DOTTED.sub(r"\1\2:\3:\4", text) for text in texts]
     if all(text is None or text != new for text, new in zip(texts, dotted, strict=True)):

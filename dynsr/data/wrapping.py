@@ -1,7 +1,8 @@
 """Wrapping: what is around the cells of a table of text where it was made to be looked at.
 
 Printed frames have lines around their cells, pages of the web and LaTeX have marks, a terminal has
-colours, some programs put every line in quotation marks, and ARFF has its names line by line.
+colours, some programs put every line in quotation marks, vectors in brackets, or prose between the
+rows, and ARFF and GROMACS have their names line by line.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from html.parser import HTMLParser
 
@@ -24,6 +26,18 @@ _TYPE = re.compile(
 _COLOUR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 _ATTRIBUTE = re.compile(r"(?im)^\s*@attribute\s+('[^']*'|\"[^\"]*\"|\S+)\s")
 _DATA = re.compile(r"(?im)^\s*@data\b.*$")
+_LEGEND = re.compile(r'(?m)^\s*@\s*s\d+\s+legend\s+"([^"]*)"')
+_LABEL = re.compile(r'(?m)^\s*@\s*xaxis\s+label\s+"([^"]*)"')
+_FLUENT = re.compile(r'(?m)^\(("[^"]*"(?:\s+"[^"]*")*)\)\s*$')
+_VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
+_NUMBERS = re.compile(rf"\s*{_VALUE}(?:\s+{_VALUE})*\s*")
+_SPACES = "[ \\t]"
+_VECTOR = re.compile(
+    rf"(?m)^{_SPACES}*{_VALUE}(?:{_SPACES}+{_VALUE})*"
+    rf"(?:{_SPACES}+\(+{_SPACES}*{_VALUE}(?:[ \t()]+{_VALUE})+{_SPACES}*\)+)+{_SPACES}*$"
+)
+_WORD = re.compile(r"[^\W\d_]+[.,:;]?")
+_FEWEST = 8
 _LATEX_ROW = re.compile(r"^[^&%]*&.*\\\\(\[.*?\])?\s*(\\[a-z]+(\{[^}]*\}|\([^)]*\))*\s*)*$")
 _COMMAND = re.compile(
     r"\\(hline|toprule|midrule|bottomrule|cline|cmidrule)(\([^)]*\))?(\{[^}]*\})?"
@@ -94,7 +108,7 @@ def _without_box(text: str) -> str:
 
 
 def _is_quoted(text: str) -> bool:
-    """Whether each line is one cell in quotation marks that holds several."""
+    """Whether each line is one cell in quotation marks with several in it."""
     lines = [line for line in text.splitlines() if line.strip()][:-1]
     return len(lines) > 1 and all(map(_QUOTED.fullmatch, lines))
 
@@ -125,6 +139,73 @@ def _without_arff(text: str) -> str:
     _, _, rows = _DATA.sub("@data", text, count=1).partition("@data")
     kept = (line for line in rows.splitlines() if line.strip() and line.lstrip()[0] != "%")
     return _written([names]) + "\n".join(line.replace(",", "\t") for line in kept)
+
+
+def _is_plot(text: str) -> bool:
+    return _LEGEND.search(text) is not None
+
+
+def _without_plot(text: str) -> str:
+    """Write the names of GROMACS above its rows, that of the time first."""
+    label = _LABEL.search(text)
+    names = [label[1] if label else "t", *_LEGEND.findall(text)]
+    rows = (
+        line.split() for line in text.splitlines() if line.strip() and line.strip()[0] not in "#@&"
+    )
+    return _written([names, *rows])
+
+
+def _is_of_fluent(text: str) -> bool:
+    return _FLUENT.search(text) is not None
+
+
+def _without_fluent(text: str) -> str:
+    """Write the names of Fluent without brackets, and nothing above them."""
+    *_, (names, rows) = [(m[1], text[m.end() :]) for m in _FLUENT.finditer(text)][:1]
+    return _written([re.findall(r'"([^"]*)"', names), *map(str.split, rows.strip().splitlines())])
+
+
+def _has_vectors(text: str) -> bool:
+    return _VECTOR.search(text) is not None
+
+
+def _without_vectors(text: str) -> str:
+    lines = text.splitlines()
+    return "\n".join(re.sub("[()]", " ", o) if _VECTOR.fullmatch(o) else o for o in lines)
+
+
+def _rows_of_numbers(text: str) -> list[int]:
+    """Give the places of the lines that are numbers between blanks, as many as in most."""
+    counts = [len(o.split()) if _NUMBERS.fullmatch(o) else 0 for o in text.splitlines()]
+    usual = Counter(count for count in counts if count > 1).most_common(1)
+    return [j for j, count in enumerate(counts) if usual and count == usual[0][0]]
+
+
+def _find_prose(text: str) -> set[int]:
+    """Give the places of lines of words between rows of numbers and after them.
+
+    The names of the columns may come again there.
+    """
+    lines, rows = text.splitlines(), _rows_of_numbers(text)
+    if len(rows) < _FEWEST or 2 * len(rows) < len(lines):
+        return set()
+    names, width = lines[max(rows[0] - 1, 0)], len(lines[rows[0]].split())
+
+    def is_prose(line: str) -> bool:
+        cells = line.split()
+        wordy = 2 * sum(_WORD.fullmatch(cell) is not None for cell in cells) > len(cells) > 2
+        return line != names and wordy and len(cells) != width and line.lstrip()[0] not in "#%@"
+
+    return {j for j, line in enumerate(lines) if j > rows[0] and is_prose(line)}
+
+
+def _has_prose(text: str) -> bool:
+    return bool(_find_prose(text))
+
+
+def _without_prose(text: str) -> str:
+    prose = _find_prose(text)
+    return "\n".join(line for j, line in enumerate(text.splitlines()) if j not in prose)
 
 
 def _is_page(text: str) -> bool:
@@ -193,6 +274,10 @@ _WRAPPINGS: tuple[tuple[Callable[[str], bool], Callable[[str], str]], ...] = (
     (_has_colours, without_colours),
     (_is_page, _without_page),
     (_is_arff, _without_arff),
+    (_is_plot, _without_plot),
+    (_is_of_fluent, _without_fluent),
+    (_has_vectors, _without_vectors),
+    (_has_prose, _without_prose),
     (_is_latex, _without_latex),
     (_is_quoted, _without_quotes),
     (_is_boxed, _without_box),
