@@ -204,7 +204,7 @@ def test_the_shell_and_the_report_suggest(tmp_path):
     run_ = found.trajectories[0]
     np.savetxt(table, np.column_stack([run_.t, run_.x]), "%.12g", ",", header="t,x", comments="")
     shown = run("suggest", model, table, "--rows", 30).stdout
-    assert "3.72 bits ahead" in shown and "first run again" in shown and "30 rows over 6" in shown
+    assert "5.25 bits behind" in shown and "first run again" in shown and "30 rows over 6" in shown
     told = json.loads(run("suggest", model, table, "--json").stdout)
     assert told["experiments"][0]["bits"] > told["again"]["bits"]
     assert "is no time" in run("suggest", model, table, "--span", "-1", code=2).stderr

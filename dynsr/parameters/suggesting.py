@@ -31,10 +31,10 @@ from dynsr.fit import (
     fit_along,
     loosen_all,
     prepare,
-    structure_bits,
     tidy,
     with_floats,
 )
+from dynsr.library import structure_in
 from dynsr.parameters.parameters import in_columns
 from dynsr.verdict import count_constants
 
@@ -319,7 +319,7 @@ def suggest(
     behind = [own.bits for own, _ in taken]
     tried = _Trial(models, behind, times, noise, _range(data, equations), settings)
     states, driven = list(equations), _driven(models, data)
-    plans = list(_plans(data, states, driven, tried.range, rng, settings))
+    plans = list(_plans(data, states, driven, tried, rng, settings))
     found = [own for plan in plans for own in tried.experiments(plan, states)]
     first = [own for own in found if own.again]
     others_tried = [own for own in found if not own.again]
@@ -380,6 +380,8 @@ def _fit_alternatives(
     """Fit systems with another equation of one state; those far behind are no alternatives."""
     measured = float(answer.problem.mesh.rows.sum())
     cost = answer.problem.cost(answer.found.states.T, answer.constants)
+    structure = structure_in(answer.problem.mesh.columns)
+    written = {state: with_floats(expr) for state, expr in equations.items()}
     for state, formulas in others.items():
         own = equations[state]
         known = _shapes(own)
@@ -396,7 +398,7 @@ def _fit_alternatives(
             rise = fit.problem.cost(fit.found.states.T, fit.constants) - cost
             more = count_constants(expr) - count_constants(own)
             bits = rise / answer.scale / (2 * math.log(2)) + more * constant_bits(measured)
-            bits += structure_bits(with_floats(expr)) - structure_bits(with_floats(own))
+            bits += structure({**written, state: with_floats(expr)}) - structure(written)
             if bits <= settings.plausible:
                 yield Alternative(fit.found.exprs, state, float(bits)), fit
 
@@ -446,15 +448,17 @@ def _plans(
     data: Measurements,
     states: Sequence[str],
     driven: tuple[str, ...],
-    limits: np.ndarray,
+    trial: _Trial,
     rng: np.random.Generator,
     settings: SuggestionSettings,
 ) -> Iterator[_Plan]:
     """Give the experiments, those of the first run's start first."""
-    low, high = limits
+    low, high = trial.range
     width = np.maximum(high - low, 1e-300)
     bottom = low - settings.beyond * width
-    bottom = np.where((low >= 0) & (bottom < 0), 0.0, bottom)
+    # Noise takes what is never below 0 there.
+    least = np.where(np.isfinite(trial.noise), -trial.noise, 0.0)
+    bottom = np.where((low >= least) & (bottom < 0), 0.0, bottom)
     top = high + settings.beyond * width
     starts = bottom[:, None] + (top - bottom)[:, None] * rng.random((len(low), settings.starts))
     places = [data.runs[0].index(state) for state in states]
