@@ -23,7 +23,7 @@ _SIZE = re.compile("\\s*(shape: \\(.*\\)|\\d+\u00d7\\d+ \\w*DataFrame.*)\\s*")
 _TYPE = re.compile(
     r"---|[uif]\d{1,2}|str|bool|date|U?Int\d*|Float\d*\??|String\d*\??|Bool|Any|Date\w*|<\w+>",
 )
-_COLOUR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _ATTRIBUTE = re.compile(r"(?im)^\s*@attribute\s+('[^']*'|\"[^\"]*\"|\S+)\s")
 _DATA = re.compile(r"(?im)^\s*@data\b.*$")
 _LEGEND = re.compile(r'(?m)^\s*@\s*s\d+\s+legend\s+"([^"]*)"')
