@@ -90,10 +90,6 @@ def without_colours(text: str) -> str:
     return _COLOUR.sub("", text)
 
 
-def _has_colours(text: str) -> bool:
-    return _COLOUR.search(text) is not None
-
-
 def _is_boxed(text: str) -> bool:
     return bool(_BARS.search(text) or _ASCII.search(text))
 
@@ -130,19 +126,11 @@ def _without_latex(text: str) -> str:
     return _written(re.split(r"(?<!\\)&", row) for row in plain)
 
 
-def _is_arff(text: str) -> bool:
-    return _ATTRIBUTE.search(text) is not None
-
-
 def _without_arff(text: str) -> str:
     names = [name.strip("'\"") for name in _ATTRIBUTE.findall(text)]
     _, _, rows = _DATA.sub("@data", text, count=1).partition("@data")
     kept = (line for line in rows.splitlines() if line.strip() and line.lstrip()[0] != "%")
     return _written([names]) + "\n".join(line.replace(",", "\t") for line in kept)
-
-
-def _is_plot(text: str) -> bool:
-    return _LEGEND.search(text) is not None
 
 
 def _without_plot(text: str) -> str:
@@ -155,18 +143,12 @@ def _without_plot(text: str) -> str:
     return _written([names, *rows])
 
 
-def _is_of_fluent(text: str) -> bool:
-    return _FLUENT.search(text) is not None
-
-
 def _without_fluent(text: str) -> str:
     """Write the names of Fluent without brackets, and nothing above them."""
-    *_, (names, rows) = [(m[1], text[m.end() :]) for m in _FLUENT.finditer(text)][:1]
-    return _written([re.findall(r'"([^"]*)"', names), *map(str.split, rows.strip().splitlines())])
-
-
-def _has_vectors(text: str) -> bool:
-    return _VECTOR.search(text) is not None
+    found = _FLUENT.search(text)
+    assert found is not None
+    names = re.findall(r'"([^"]*)"', found[1])
+    return _written([names, *map(str.split, text[found.end() :].strip().splitlines())])
 
 
 def _without_vectors(text: str) -> str:
@@ -199,17 +181,9 @@ def _find_prose(text: str) -> set[int]:
     return {j for j, line in enumerate(lines) if j > rows[0] and is_prose(line)}
 
 
-def _has_prose(text: str) -> bool:
-    return bool(_find_prose(text))
-
-
 def _without_prose(text: str) -> str:
     prose = _find_prose(text)
     return "\n".join(line for j, line in enumerate(text.splitlines()) if j not in prose)
-
-
-def _is_page(text: str) -> bool:
-    return _PAGE.match(text) is not None
 
 
 def _without_page(text: str) -> str:
@@ -270,14 +244,15 @@ def _written(rows: Iterable[Iterable[str]]) -> str:
     return found.getvalue()
 
 
-_WRAPPINGS: tuple[tuple[Callable[[str], bool], Callable[[str], str]], ...] = (
-    (_has_colours, without_colours),
-    (_is_page, _without_page),
-    (_is_arff, _without_arff),
-    (_is_plot, _without_plot),
-    (_is_of_fluent, _without_fluent),
-    (_has_vectors, _without_vectors),
-    (_has_prose, _without_prose),
+# What shows a wrapping in a text, and what takes the text out of it.
+_WRAPPINGS: tuple[tuple[Callable[[str], object], Callable[[str], str]], ...] = (
+    (_COLOUR.search, without_colours),
+    (_PAGE.match, _without_page),
+    (_ATTRIBUTE.search, _without_arff),
+    (_LEGEND.search, _without_plot),
+    (_FLUENT.search, _without_fluent),
+    (_VECTOR.search, _without_vectors),
+    (_find_prose, _without_prose),
     (_is_latex, _without_latex),
     (_is_quoted, _without_quotes),
     (_is_boxed, _without_box),
