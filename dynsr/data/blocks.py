@@ -94,25 +94,24 @@ def _find_own_times(
     following = [*(bare_name(names[j]) for j in used[1:]), ""]
     tagged = [_tagged_time(bare_name(names[j]), f) for j, f in zip(used, following, strict=True)]
     first = tagged[0] or (bare_name(names[used[0]]) if _is_time(names[used[0]]) else "")
-    same = [
-        names[j] == names[used[0]] or stem == first for j, stem in zip(used, tagged, strict=True)
+    called = [names[j] for j in used]
+    starts = [
+        p for p, name in enumerate(called) if first and (name == called[0] or tagged[p] == first)
     ]
-    stems = [first if first and own else "" for own in same]
-    starts = [place for place, stem in enumerate(stems) if stem]
-    values = [names[used[place]] for place, stem in enumerate(stems) if not stem]
+    values = [name for p, name in enumerate(called) if p not in starts]
     times = [columns[used[place]] for place in starts]
     if len(starts) < 2 or starts[0] or len(set(values)) < len(values):
         return None
     ends = [*starts[1:], len(used)]
     if any(b - a < 2 for a, b in zip(starts, ends, strict=True)) or _are_equal(times):
         return None
-    called = [names[used[place]] for place in starts]
-    units = {bracketed_unit(name) for name in called}
-    if len(units) > 1 or (len(set(called)) > 1 and not all(map(_rises, times))):
+    own_names = {called[place] for place in starts}
+    units = set(map(bracketed_unit, own_names))
+    if len(units) > 1 or (len(own_names) > 1 and not all(map(_rises, times))):
         return None
     own = tuple(tuple(used[a:b]) for a, b in zip(starts, ends, strict=True))
-    unit = bracketed_unit(names[used[0]])
-    return Blocks(own, (f"{stems[0]} [{unit}]" if unit else stems[0],), ())
+    unit = units.pop()
+    return Blocks(own, (f"{first} [{unit}]" if unit else first,), ())
 
 
 def _tagged_time(name: str, following: str) -> str:
