@@ -7,7 +7,7 @@ far below it a constant. In exp(-k x) it is 1/k that is as large as x.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import sympy
 
@@ -49,7 +49,7 @@ def _constants_of(node: sympy.Expr) -> Iterator[tuple[float, sympy.Expr]]:
                 yield 1 / abs(float(number)), rest
 
 
-def unusual_bits(exprs: Sequence[sympy.Expr], size: Callable[[sympy.Expr], float]) -> float:
+def unusual_bits(exprs: Iterable[sympy.Expr], size: Callable[[sympy.Expr], float]) -> float:
     """Give the bits of constants inside that are of another size than their columns.
 
     They are log-normal around the size of the columns, with a standard deviation of one decade.

@@ -184,8 +184,7 @@ class SystemComparison:
     _cache: dict[tuple[sympy.Expr, ...], SystemFit | None] = field(default_factory=dict)
     _starts: dict[tuple[sympy.Expr, ...], list[np.ndarray]] = field(default_factory=dict)
     _tried: set[tuple[tuple[sympy.Expr, ...], SystemFit | None, bool]] = field(default_factory=set)
-    _ranges: dict[sympy.Expr, float] = field(default_factory=dict)
-    _sizes: dict[sympy.Expr, float] = field(default_factory=dict)
+    _extents: dict[sympy.Expr, tuple[float, float]] = field(default_factory=dict)
 
     def fit(self, exprs: Equations, near: SystemFit | None = None) -> SystemFit | None:
         """Fit every constant and start; None where the system cannot be fitted."""
@@ -256,23 +255,18 @@ class SystemComparison:
         """Whether a function takes so little of its argument that it is a line or a constant."""
         for function in expr.atoms(sympy.Function):
             factor, rest = function.args[0].as_coeff_Mul()
-            if factor.is_Float and abs(float(factor)) * self._range_of(rest) < _BARE:
+            if factor.is_Float and abs(float(factor)) * self._extent(rest)[0] < _BARE:
                 return True
         return False
 
-    def _range_of(self, expr: sympy.Expr) -> float:
-        if expr not in self._ranges:
-            with np.errstate(all="ignore"):
-                self._ranges[expr] = float(np.ptp(evaluate(expr, self.mesh.columns)))
-        return self._ranges[expr]
-
-    def _size_of(self, expr: sympy.Expr) -> float:
-        """Root mean square of an expression of the columns along the data."""
-        if expr not in self._sizes:
+    def _extent(self, expr: sympy.Expr) -> tuple[float, float]:
+        """Give range and root mean square of an expression of the columns along the data."""
+        if expr not in self._extents:
             with np.errstate(all="ignore"):
                 values = evaluate(expr, self.mesh.columns)
-            self._sizes[expr] = float(np.sqrt(np.mean(np.square(values))))
-        return self._sizes[expr]
+                size = float(np.sqrt(np.mean(np.square(values))))
+                self._extents[expr] = float(np.ptp(values)), size
+        return self._extents[expr]
 
     @property
     def _how(self) -> CollocationSettings:
@@ -355,7 +349,7 @@ class SystemComparison:
             saved[(place,)] = max(bits, saved.get((place,), 0.0))
         told = shortened_bits(fit.information, scales, fit.constants, saved)
         if has("bits-inside"):
-            cost += unusual_bits(tuple(fit.exprs.values()), self._size_of)
+            cost += unusual_bits(fit.exprs.values(), lambda expr: self._extent(expr)[1])
         least = self.structure(fit.exprs) + told + cost
         # What a mass matrix ties together is said more shortly by each other.
         ties = find_couplings(fit.exprs, fit.constants, fit.covariance) if has("couplings") else ()
